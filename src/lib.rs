@@ -1,0 +1,1 @@
+//! phantom: training, identification and gap finding on `MuJoCo` 2.2.2.
