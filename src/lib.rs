@@ -1,1 +1,3 @@
 //! phantom: training, identification and gap finding on `MuJoCo` 2.2.2.
+
+pub mod run_dir;
