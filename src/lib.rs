@@ -1,3 +1,12 @@
 //! phantom: training, identification and gap finding on `MuJoCo` 2.2.2.
 
+pub mod evaluate;
+pub mod mujoco;
+pub mod npg;
+pub mod policy;
+pub mod randomise;
+pub mod rng;
+pub mod rollout;
 pub mod run_dir;
+pub mod task;
+pub mod train;

@@ -1,0 +1,231 @@
+//! The value function: quadratic in all terms of the observation, plus powers of time, fitted by ridge regression.
+//!
+//! ```text
+//! x = clip((s - mean) / scale, ±CLIP)                      mean and scale of the batch it was fitted on
+//! ψ = (1, x_i, x_i x_j for i ≥ j, τ, τ², τ³, τ⁴),  τ = t / horizon     707 features for 36 observations
+//! w = argmin Σ (w·ψ - y)² / n + ridge Σ' w²                (the constant is not shrunk)
+//! ```
+//!
+//! The fit follows the paper's quadratic function approximator. Clipping keeps one object flung across the table from
+//! deciding about all other states. For advantages without the bias of a function fitted to the very same samples,
+//! [`fit`] returns two more functions, fitted to the trajectories of even and odd index ([`Fit::crossed`]).
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use serde::{Deserialize, Serialize};
+
+use super::gram::{self, Gram};
+
+const CLIP: f64 = 4.0;
+const N_TIME: usize = 4;
+
+/// A value function.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Baseline {
+    mean: Vec<f64>,
+    /// 0 marks a constant observation, which takes no part
+    inverse_scale: Vec<f64>,
+    /// in the order of the features; empty: no fit yet, the value is 0
+    weights: Vec<f64>,
+}
+
+/// Quality of a fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitReport {
+    /// 1 - variance of the residual / variance of the target
+    pub explained_variance: f64,
+    /// condition number of the regularised system, estimated from its Cholesky factor
+    pub condition: f64,
+    /// samples used
+    pub n_sample: usize,
+}
+
+/// One trajectory as the fit sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct Target<'a> {
+    /// (T × n_observation)
+    pub observations: &'a [f64],
+    /// (T)
+    pub returns: &'a [f64],
+}
+
+/// The outcome of [`fit`].
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// fitted to all trajectories
+    pub all: Baseline,
+    /// `[i]`: fitted to the trajectories of parity `1 - i`, to be used on those of parity `i`
+    pub crossed: [Baseline; 2],
+    /// of `all`
+    pub report: FitReport,
+}
+
+impl Baseline {
+    /// A function that is zero everywhere.
+    pub fn zero(n_observation: usize) -> Self {
+        Self { mean: vec![0.0; n_observation], inverse_scale: vec![0.0; n_observation], weights: Vec::new() }
+    }
+
+    fn n_feature(&self) -> usize {
+        let n = self.mean.len();
+        1 + n + n * (n + 1) / 2 + N_TIME
+    }
+
+    /// Append ψ of one sample, `time` = t / horizon.
+    fn features(&self, observation: &[f64], time: f64, out: &mut Vec<f64>) {
+        let start = out.len();
+        out.push(1.0);
+        out.extend(
+            observation
+                .iter()
+                .zip(&self.mean)
+                .zip(&self.inverse_scale)
+                .map(|((s, mean), inverse)| ((s - mean) * inverse).clamp(-CLIP, CLIP)),
+        );
+        let n = observation.len();
+        for i in 0..n {
+            let x = out[start + 1 + i];
+            for j in 0..=i {
+                out.push(x * out[start + 1 + j]);
+            }
+        }
+        let mut power = 1.0;
+        for _ in 0..N_TIME {
+            power *= time;
+            out.push(power);
+        }
+    }
+
+    /// Values of consecutive observations (rows), the first at step `first` of `horizon`.
+    pub fn values(&self, observations: &[f64], first: usize, horizon: usize, out: &mut Vec<f64>) {
+        let n = self.mean.len();
+        let mut features = Vec::with_capacity(self.n_feature());
+        for (t, observation) in observations.chunks_exact(n).enumerate() {
+            if self.weights.is_empty() {
+                out.push(0.0);
+                continue;
+            }
+            features.clear();
+            self.features(observation, (first + t) as f64 / horizon as f64, &mut features);
+            out.push(dot(&features, &self.weights));
+        }
+    }
+
+    /// Whether every number is finite and the lengths belong together.
+    pub fn is_sound(&self, n_observation: usize) -> bool {
+        self.mean.len() == n_observation
+            && self.inverse_scale.len() == n_observation
+            && (self.weights.is_empty() || self.weights.len() == self.n_feature())
+            && [&self.mean, &self.inverse_scale, &self.weights].iter().all(|v| v.iter().all(|x| x.is_finite()))
+    }
+}
+
+/// A dot product in four fixed partial sums.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sums = [0.0; 4];
+    let (a4, a_rest) = a.as_chunks::<4>();
+    let (b4, b_rest) = b.as_chunks::<4>();
+    for (x, y) in a4.iter().zip(b4) {
+        for lane in 0..4 {
+            sums[lane] += x[lane] * y[lane];
+        }
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(x, y)| x * y).sum();
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
+}
+
+/// Fit to every `stride`-th sample of `targets` (neighbouring samples say nearly the same).
+///
+/// Returns `None` when there are fewer samples than features or the system cannot be factored, which happens only with
+/// non-finite input.
+pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride: usize, ridge: f64) -> Option<Fit> {
+    let shape = standardise(targets, n_observation);
+    let n = shape.n_feature();
+
+    // per lane: Σ (ψ, y)(ψ, y)ᵀ, the target as one more column
+    let mut halves = [(DMatrix::zeros(n + 1, n + 1), 0), (DMatrix::zeros(n + 1, n + 1), 0)];
+    let sums = gram::lanes(targets, |lane| {
+        let mut gram = Gram::new(n + 1);
+        for target in lane {
+            let rows = target.observations.chunks_exact(n_observation).zip(target.returns).enumerate();
+            // the phase moves along with the trajectory so that every time is visited
+            for (t, (observation, y)) in rows.step_by(stride) {
+                gram.push(|panel| {
+                    shape.features(observation, t as f64 / horizon as f64, panel);
+                    panel.push(*y);
+                });
+            }
+        }
+        gram.finish()
+    });
+    for (lane, (sum, count)) in sums.into_iter().enumerate() {
+        let half = &mut halves[lane % 2];
+        half.0 += sum;
+        half.1 += count;
+    }
+    let [(even, n_even), (odd, n_odd)] = halves;
+    let all = &even + &odd;
+
+    let solve = |sum: &DMatrix<f64>, count: usize| -> Option<(Baseline, FitReport)> {
+        let mut system = sum.view((0, 0), (n, n)).into_owned();
+        let right = sum.view((n, 0), (1, n)).transpose();
+        for i in 1..n {
+            system[(i, i)] += ridge * count as f64;
+        }
+        let factor = Cholesky::<f64, Dyn>::new(system)?;
+        let weights: DVector<f64> = factor.solve(&DVector::from_column_slice(right.as_slice()));
+        let diagonal = factor.l_dirty().diagonal();
+        let condition = (diagonal.max() / diagonal.min()).powi(2);
+        let count = count as f64;
+        // Σ (y - w·ψ)² / n from the sums alone, since (A + ridge n I') w = b
+        let (mean, square) = (right[0] / count, sum[(n, n)] / count);
+        let shrunk: f64 = weights.iter().skip(1).map(|w| w * w).sum();
+        let residual = square - dot(weights.as_slice(), right.as_slice()) / count - ridge * shrunk;
+        let variance = square - mean * mean;
+        let explained_variance = if variance > 0.0 { 1.0 - residual / variance } else { 0.0 };
+        let report = FitReport { explained_variance, condition, n_sample: count as usize };
+        let baseline = Baseline { weights: weights.as_slice().to_vec(), ..shape.clone() };
+        baseline.is_sound(n_observation).then_some((baseline, report))
+    };
+    if n_even.min(n_odd) < n {
+        return None;
+    }
+    let (all, report) = solve(&all, n_even + n_odd)?;
+    let (from_even, _) = solve(&even, n_even)?;
+    let (from_odd, _) = solve(&odd, n_odd)?;
+    Some(Fit { all, crossed: [from_odd, from_even], report })
+}
+
+/// A weightless function that standardises as `targets` ask for.
+fn standardise(targets: &[Target<'_>], n_observation: usize) -> Baseline {
+    let sums = gram::lanes(targets, |lane| {
+        let mut sum = vec![0.0; 2 * n_observation + 1];
+        for target in lane {
+            for observation in target.observations.chunks_exact(n_observation) {
+                for (i, s) in observation.iter().enumerate() {
+                    sum[i] += s;
+                    sum[n_observation + i] += s * s;
+                }
+                sum[2 * n_observation] += 1.0;
+            }
+        }
+        sum
+    });
+    let mut total = vec![0.0; 2 * n_observation + 1];
+    for sum in sums {
+        for (t, s) in total.iter_mut().zip(sum) {
+            *t += s;
+        }
+    }
+    let count = total[2 * n_observation].max(1.0);
+    let mean: Vec<f64> = total[..n_observation].iter().map(|s| s / count).collect();
+    let inverse_scale = mean
+        .iter()
+        .zip(&total[n_observation..2 * n_observation])
+        .map(|(mean, square)| {
+            let variance = square / count - mean * mean;
+            // below the rounding of the sums the observation is a constant
+            if variance > 1e-12 * (1.0 + mean * mean) { variance.sqrt().recip() } else { 0.0 }
+        })
+        .collect();
+    Baseline { mean, inverse_scale, weights: Vec::new() }
+}

@@ -1,0 +1,362 @@
+//! Trajectories of a policy on a task, on all threads, the same on any number of them.
+//!
+//! Every worker owns one [`Data`] with its own copy of the model, made once. Trajectory `i` of iteration `k` draws
+//! from the streams (seed, purpose, k, i) and writes to slot `i`, so that neither the number of threads nor their
+//! timing can change a bit of the batch.
+//!
+//! One control step holds the action for `control_hold` physics steps. The loop runs `mj_step2`, `mj_step1` instead of
+//! `mj_step`: the same computation in the same order, cut at the point where positions and velocities have just been
+//! evaluated, so that observation and reward always belong to the current state.
+
+use std::sync::{Arc, Mutex};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::mujoco::{Data, Model, MujocoError};
+use crate::policy::AffineGaussian;
+use crate::randomise::{RandomiseError, Randomiser};
+use crate::rng::{self, Purpose};
+use crate::task::{Task, TaskError};
+
+/// What can go wrong while rolling out (a diverged simulation is not an error, see [`Trajectory::diverged`]).
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum RolloutError {
+    /// The engine failed.
+    #[error(transparent)]
+    Mujoco(#[from] MujocoError),
+    /// The task failed.
+    #[error(transparent)]
+    Task(#[from] TaskError),
+    /// A model could not be drawn.
+    #[error(transparent)]
+    Randomise(#[from] RandomiseError),
+    /// The threads could not be made.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads {
+        /// asked for
+        threads: usize,
+        /// the system's reason
+        reason: String,
+    },
+}
+
+/// The stream a rollout's model was drawn from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelDraw {
+    /// iteration of the draw
+    pub iteration: u64,
+    /// trajectory index within it
+    pub index: u64,
+}
+
+/// A state worth starting from again, with the model it occurred in.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Start {
+    /// the model: a state with contacts is only sound in the model it came from
+    pub model: ModelDraw,
+    /// (nq)
+    pub qpos: Vec<f64>,
+    /// (nv)
+    pub qvel: Vec<f64>,
+}
+
+/// Settings of a batch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RolloutConfig {
+    /// control steps a trajectory
+    pub horizon: usize,
+    /// physics steps for which one action is held
+    pub control_hold: usize,
+}
+
+/// One rollout. Rows are control steps; `T` of them.
+#[derive(Debug, Clone, Default)]
+pub struct Trajectory {
+    /// (T × n_observation)
+    pub observations: Vec<f64>,
+    /// (T × n_action) standard normal numbers behind the actions
+    pub noise: Vec<f64>,
+    /// (T)
+    pub rewards: Vec<f64>,
+    /// (n_observation) after the last step: the true next state of the truncated trajectory
+    pub final_observation: Vec<f64>,
+    /// (T) task error after each step, m
+    pub distances_m: Vec<f64>,
+    /// a state on the way, drawn uniformly over time
+    pub visited: Option<Start>,
+    /// set when the simulation broke down; such a trajectory takes no part in learning
+    pub diverged: Option<Diverged>,
+}
+
+/// What is needed to replay a simulation that broke down.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Diverged {
+    /// which warning or non-finite quantity
+    pub reason: String,
+    /// control step at which it was seen
+    pub step: usize,
+    /// state and model at the beginning
+    pub start: Start,
+    /// (nmocap × 3)
+    pub mocap_pos: Vec<f64>,
+    /// (steps × n_action) actions up to and including the fatal one
+    pub actions: Vec<f64>,
+}
+
+impl Trajectory {
+    /// Number of control steps.
+    pub fn len(&self) -> usize {
+        self.rewards.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.rewards.is_empty()
+    }
+
+    /// Mean reward a step.
+    pub fn mean_reward(&self) -> f64 {
+        self.rewards.iter().sum::<f64>() / self.rewards.len().max(1) as f64
+    }
+}
+
+struct Worker {
+    data: Data,
+    observation: Vec<f64>,
+    action: Vec<f64>,
+}
+
+/// Rolls out policies on all threads.
+pub struct Sampler {
+    pool: rayon::ThreadPool,
+    workers: Vec<Mutex<Worker>>,
+    task: Arc<dyn Task>,
+    randomiser: Randomiser,
+    config: RolloutConfig,
+}
+
+/// Which trajectories to make.
+#[derive(Debug, Clone, Copy)]
+pub struct BatchRequest<'a> {
+    /// seed of the run
+    pub seed: u64,
+    /// iteration, part of every stream's address
+    pub iteration: u64,
+    /// number of trajectories
+    pub n_trajectory: usize,
+    /// states to continue from
+    pub pool: &'a [Start],
+    /// share of trajectories that begin in a state of `pool`
+    pub pool_share: f64,
+}
+
+impl Sampler {
+    /// Make `threads` workers, each with its own copy of `model`.
+    ///
+    /// # Errors
+    /// When memory or threads cannot be had.
+    pub fn new(
+        model: &Model,
+        task: Arc<dyn Task>,
+        randomiser: Randomiser,
+        config: RolloutConfig,
+        threads: usize,
+    ) -> Result<Self, RolloutError> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|i| format!("rollout-{i}"))
+            .build()
+            .map_err(|e| RolloutError::Threads { threads, reason: e.to_string() })?;
+        let workers = (0..threads)
+            .map(|_| {
+                let data = Data::new(Arc::new(model.clone()))?;
+                let (observation, action) = (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
+                Ok(Mutex::new(Worker { data, observation, action }))
+            })
+            .collect::<Result<_, RolloutError>>()?;
+        Ok(Self { pool, workers, task, randomiser, config })
+    }
+
+    /// The task.
+    pub fn task(&self) -> &dyn Task {
+        self.task.as_ref()
+    }
+
+    /// Settings of every trajectory.
+    pub fn config(&self) -> RolloutConfig {
+        self.config
+    }
+
+    /// The threads, for other parallel work.
+    pub fn threads(&self) -> &rayon::ThreadPool {
+        &self.pool
+    }
+
+    /// Roll out `policy`; `batch` is overwritten, its memory reused.
+    ///
+    /// # Errors
+    /// The first failure by trajectory index. A diverged simulation is not one.
+    pub fn sample(
+        &self,
+        policy: &AffineGaussian,
+        request: &BatchRequest<'_>,
+        batch: &mut Vec<Trajectory>,
+    ) -> Result<(), RolloutError> {
+        batch.resize_with(request.n_trajectory, Trajectory::default);
+        let results: Vec<Result<(), RolloutError>> = self.pool.install(|| {
+            batch
+                .par_iter_mut()
+                .enumerate()
+                .with_max_len(1)
+                .map(|(index, trajectory)| {
+                    let thread = rayon::current_thread_index().unwrap_or(0);
+                    // a worker is only ever used by its own thread; a poisoned lock means that thread panicked before
+                    let mut worker =
+                        self.workers[thread].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                    self.roll_out(&mut worker, policy, request, index as u64, trajectory)
+                })
+                .collect()
+        });
+        results.into_iter().collect()
+    }
+
+    /// Bring `data` into the start state of trajectory `index`; returns the model it is in.
+    fn prepare(
+        &self,
+        data: &mut Data,
+        request: &BatchRequest<'_>,
+        index: u64,
+    ) -> Result<ModelDraw, RolloutError> {
+        let mut rng = rng::stream(request.seed, Purpose::Start, request.iteration, index);
+        let continued = !request.pool.is_empty() && rng::uniform(&mut rng, 0.0, 1.0) < request.pool_share;
+        let start = continued.then(|| {
+            let position = rng::uniform(&mut rng, 0.0, request.pool.len() as f64) as usize;
+            &request.pool[position.min(request.pool.len() - 1)]
+        });
+        let draw = start.map_or(ModelDraw { iteration: request.iteration, index }, |start| start.model);
+        self.draw_model(data, request.seed, draw)?;
+        data.clear_warnings();
+        match start {
+            None => self.task.start(data, &mut rng)?,
+            Some(start) => {
+                set_start(data, start);
+                self.task.new_goal(data, &mut rng)?;
+            }
+        }
+        Ok(draw)
+    }
+
+    /// Draw the model of `draw` into `data` and reset it.
+    fn draw_model(&self, data: &mut Data, seed: u64, draw: ModelDraw) -> Result<(), RolloutError> {
+        let mut rng = rng::stream(seed, Purpose::Model, draw.iteration, draw.index);
+        self.randomiser.draw(data, &mut rng)?;
+        data.reset();
+        Ok(())
+    }
+
+    fn roll_out(
+        &self,
+        worker: &mut Worker,
+        policy: &AffineGaussian,
+        request: &BatchRequest<'_>,
+        index: u64,
+        trajectory: &mut Trajectory,
+    ) -> Result<(), RolloutError> {
+        let Worker { data, observation, action } = worker;
+        let (task, horizon) = (self.task.as_ref(), self.config.horizon);
+        let model = self.prepare(data, request, index)?;
+        let start = Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() };
+        let mocap_pos = data.mocap_pos().to_vec();
+        let mut rng = rng::stream(request.seed, Purpose::Exploration, request.iteration, index);
+        let visit = rng::uniform(&mut rng, 0.0, horizon as f64) as usize;
+
+        trajectory.clear();
+        let mut actions = Vec::with_capacity(horizon * action.len());
+        let mut noise = vec![0.0; action.len()];
+        for step in 0..horizon {
+            task.observe(data, observation);
+            trajectory.observations.extend_from_slice(observation);
+            policy.sample(observation, &mut rng, action, &mut noise);
+            trajectory.noise.extend_from_slice(&noise);
+            actions.extend_from_slice(action);
+            hold(data, action, self.config.control_hold)?;
+            let reward = task.reward(data, action);
+            if let Some(reason) = breakdown(data, reward) {
+                let actions = std::mem::take(&mut actions);
+                trajectory.diverged = Some(Diverged { reason, step, start, mocap_pos, actions });
+                return Ok(());
+            }
+            trajectory.rewards.push(reward);
+            trajectory.distances_m.push(task.distance_m(data));
+            if step == visit {
+                trajectory.visited = Some(Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() });
+            }
+        }
+        task.observe(data, observation);
+        trajectory.final_observation.extend_from_slice(observation);
+        Ok(())
+    }
+
+    /// Run a recorded breakdown again; returns what is seen this time (`None`: it did not break down).
+    ///
+    /// # Errors
+    /// When the dump does not fit the task or the engine fails.
+    pub fn replay(&self, seed: u64, dump: &Diverged) -> Result<Option<(usize, String)>, RolloutError> {
+        let mut worker = self.workers[0].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let data = &mut worker.data;
+        self.draw_model(data, seed, dump.start.model)?;
+        data.clear_warnings();
+        set_start(data, &dump.start);
+        data.mocap_pos_mut().copy_from_slice(&dump.mocap_pos);
+        data.step1()?;
+        for (step, action) in dump.actions.chunks_exact(self.task.n_action()).enumerate() {
+            hold(data, action, self.config.control_hold)?;
+            if let Some(reason) = breakdown(data, self.task.reward(data, action)) {
+                return Ok(Some((step, reason)));
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// Apply `action` for `steps` physics steps, leaving positions and velocities evaluated.
+///
+/// # Errors
+/// When the engine fails.
+pub fn hold(data: &mut Data, action: &[f64], steps: usize) -> Result<(), MujocoError> {
+    data.ctrl_mut().copy_from_slice(action);
+    for _ in 0..steps {
+        data.step2()?;
+        data.step1()?;
+    }
+    Ok(())
+}
+
+/// Why the simulation can no longer be trusted, if so.
+pub fn breakdown(data: &Data, reward: f64) -> Option<String> {
+    let warnings = data.warnings();
+    if warnings.any() {
+        return Some(format!("{warnings:?}"));
+    }
+    (!reward.is_finite()).then(|| format!("reward is {reward}"))
+}
+
+fn set_start(data: &mut Data, start: &Start) {
+    data.qpos_mut().copy_from_slice(&start.qpos);
+    data.qvel_mut().copy_from_slice(&start.qvel);
+}
+
+impl Trajectory {
+    fn clear(&mut self) {
+        self.observations.clear();
+        self.noise.clear();
+        self.rewards.clear();
+        self.final_observation.clear();
+        self.distances_m.clear();
+        self.visited = None;
+        self.diverged = None;
+    }
+}
