@@ -1,0 +1,160 @@
+//! The guard through which the numbers of a model are changed.
+
+use super::guard::guarded;
+use super::{Model, MujocoError, Result, SolverOptions, ffi};
+
+/// Access to the doubles and settings of a model, and to nothing that could change its structure.
+///
+/// Lengths, indices and flags stay as compiled, so data made for the model stays valid. Quantities
+/// that `MuJoCo` derives at compile time (`dof_invweight0`, `body_subtreemass`, …) follow only after
+/// [`ModelEdit::finish`] or [`ModelEdit::recompute_constants`].
+pub struct ModelEdit<'a> {
+    pub(super) model: &'a mut Model,
+    pub(super) recompute: bool,
+}
+
+impl<'a> ModelEdit<'a> {
+    pub(super) fn new(model: &'a mut Model) -> Self {
+        Self {
+            model,
+            recompute: false,
+        }
+    }
+
+    /// Remembers that an array was handed out, to look for NaN in it later.
+    pub(super) fn touch(&mut self, name: &'static str) {
+        if !self.model.unchecked.contains(&name) {
+            self.model.unchecked.push(name);
+        }
+    }
+
+    /// The model as it is now.
+    pub fn model(&self) -> &Model {
+        self.model
+    }
+
+    /// Sets the time step in seconds.
+    ///
+    /// # Errors
+    /// Unless it is finite and positive.
+    pub fn set_timestep(&mut self, timestep: f64) -> Result<()> {
+        require("timestep", "positive and finite", timestep, timestep > 0.0)?;
+        self.model.raw_mut().opt.timestep = timestep;
+        Ok(())
+    }
+
+    /// Sets the solver settings.
+    ///
+    /// # Errors
+    /// If one is outside its range; nothing is changed then.
+    pub fn set_option(&mut self, option: &SolverOptions) -> Result<()> {
+        let o = option;
+        require(
+            "timestep",
+            "positive and finite",
+            o.timestep,
+            o.timestep > 0.0,
+        )?;
+        require(
+            "impratio",
+            "positive and finite",
+            o.impratio,
+            o.impratio > 0.0,
+        )?;
+        for (name, value) in [
+            ("tolerance", o.tolerance),
+            ("noslip_tolerance", o.noslip_tolerance),
+        ] {
+            require(name, "at least 0 and finite", value, value >= 0.0)?;
+        }
+        for value in o.gravity {
+            require("gravity", "finite", value, true)?;
+        }
+        let limit = ffi::mjNSOLVER as usize;
+        for (name, n) in [
+            ("iterations", o.iterations),
+            ("noslip_iterations", o.noslip_iterations),
+        ] {
+            require(name, "at most 1000", n as f64, n <= limit)?;
+        }
+        let opt = &mut self.model.raw_mut().opt;
+        opt.timestep = o.timestep;
+        opt.integrator = o.integrator.to_raw();
+        opt.solver = o.solver.to_raw();
+        opt.cone = o.cone.to_raw();
+        opt.jacobian = o.jacobian.to_raw();
+        opt.iterations = o.iterations as i32;
+        opt.tolerance = o.tolerance;
+        opt.noslip_iterations = o.noslip_iterations as i32;
+        opt.noslip_tolerance = o.noslip_tolerance;
+        opt.impratio = o.impratio;
+        opt.gravity = o.gravity;
+        opt.disableflags = o.disable_flags;
+        opt.enableflags = o.enable_flags;
+        Ok(())
+    }
+
+    /// Asks [`super::Data::edit_model`] to recompute derived constants when the edit ends.
+    pub fn recompute_constants(&mut self) {
+        self.recompute = true;
+    }
+
+    /// Ends the edit: checks the arrays handed out and recomputes derived constants, with a
+    /// temporary mjData. Dropping the guard instead leaves derived constants as they were.
+    ///
+    /// # Errors
+    /// [`MujocoError::NotFinite`], [`MujocoError::Fatal`].
+    pub fn finish(self) -> Result<()> {
+        self.model.check_edits()?;
+        let model = self.model;
+        // SAFETY: valid model.
+        let data = guarded(|| unsafe { ffi::mj_makeData(model.as_ptr()) })
+            .map_err(|message| MujocoError::Fatal { message })?;
+        if data.is_null() {
+            return Err(MujocoError::Fatal {
+                message: "could not allocate mjData".into(),
+            });
+        }
+        // SAFETY: the data was made for this model, which is borrowed exclusively.
+        let result = guarded(|| unsafe { ffi::mj_setConst(model.as_mut_ptr(), data) });
+        // SAFETY: made above, used no more.
+        unsafe { ffi::mj_deleteData(data) };
+        result.map_err(|message| MujocoError::Fatal { message })
+    }
+}
+
+impl Model {
+    /// Looks for NaN and infinity in the arrays that edits handed out.
+    pub(super) fn check_edits(&mut self) -> Result<()> {
+        self.first_bad_edit()?;
+        self.unchecked.clear();
+        Ok(())
+    }
+
+    /// As `check_edits`, for a shared model.
+    pub(super) fn first_bad_edit(&self) -> Result<()> {
+        for &name in &self.unchecked {
+            let values = self.numeric_field(name).unwrap_or_default();
+            if let Some(index) = values.iter().position(|v| !v.is_finite()) {
+                return Err(MujocoError::NotFinite {
+                    name,
+                    index,
+                    got: values[index],
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn require(name: &'static str, expected: &'static str, got: f64, legal: bool) -> Result<()> {
+    if got.is_finite() && legal {
+        Ok(())
+    } else {
+        Err(MujocoError::Value {
+            name,
+            expected,
+            got,
+        })
+    }
+}

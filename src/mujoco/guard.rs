@@ -1,0 +1,79 @@
+//! Fatal errors and warnings of `MuJoCo`, turned into Rust values.
+//!
+//! The handlers are process-wide pointers, installed once. The error handler unwinds (the bindings
+//! use the C-unwind ABI) to the nearest [`guarded`] call of its thread; outside one it prints a
+//! line and ends the process with code 3.
+
+use super::{MujocoError, Result, ffi};
+use std::cell::Cell;
+use std::ffi::{CStr, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::Once;
+
+/// Exit code after a fatal `MuJoCo` error that nobody could catch.
+const EXIT_FATAL: i32 = 3;
+
+/// What the error handler throws.
+struct Thrown(String);
+
+thread_local! {
+    /// Whether this thread is inside [`guarded`].
+    static GUARDED: Cell<bool> = const { Cell::new(false) };
+}
+
+extern "C-unwind" fn on_error(message: *const c_char) {
+    // SAFETY: MuJoCo passes a NUL-terminated buffer that lives during the call.
+    let text = unsafe { CStr::from_ptr(message) };
+    let text = text.to_string_lossy().into_owned();
+    if GUARDED.get() {
+        resume_unwind(Box::new(Thrown(text)));
+    }
+    end_process(&text);
+}
+
+#[allow(clippy::print_stderr, clippy::exit)]
+fn end_process(text: &str) -> ! {
+    eprintln!("error: MuJoCo stopped with a fatal error: {text}");
+    std::process::exit(EXIT_FATAL);
+}
+
+/// Warnings are counted in mjData; without a handler they would go to a log file.
+extern "C-unwind" fn on_warning(_message: *const c_char) {}
+
+/// Installs the handlers and checks the library's version, once.
+pub(super) fn initialise() -> Result<()> {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        // SAFETY: `Once` makes this the only write, before any call of MuJoCo that reads it.
+        unsafe { ffi::mju_user_error = Some(on_error) };
+        // SAFETY: as above.
+        unsafe { ffi::mju_user_warning = Some(on_warning) };
+    });
+    // SAFETY: reads a constant of the library.
+    let got = unsafe { ffi::mj_version() };
+    let expected = ffi::mjVERSION_HEADER as i32;
+    if got == expected {
+        Ok(())
+    } else {
+        Err(MujocoError::Version { expected, got })
+    }
+}
+
+/// Runs `f`, which calls `MuJoCo`, and returns a fatal error as a value.
+///
+/// Whatever C structure `f` writes to is in an unknown state after an error and must be discarded.
+#[inline]
+pub(super) fn guarded<R>(f: impl FnOnce() -> R) -> std::result::Result<R, String> {
+    let outer = GUARDED.replace(true);
+    let result = catch_unwind(AssertUnwindSafe(f));
+    GUARDED.set(outer);
+    result.map_err(|payload| match payload.downcast::<Thrown>() {
+        Ok(thrown) => thrown.0,
+        Err(other) => resume_unwind(other),
+    })
+}
+
+/// [`guarded`] where nothing is left behind to poison.
+pub(super) fn guarded_once<R>(f: impl FnOnce() -> R) -> Result<R> {
+    guarded(f).map_err(|message| MujocoError::Fatal { message })
+}
