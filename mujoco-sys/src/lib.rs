@@ -3,7 +3,8 @@
 //! `for_each_model_array!(callback, m)` and `for_each_data_array!(callback, m)` call
 //! `callback! { m, ["doc"] element name (rows) (columns); … }` with every array field of `mjModel`
 //! and `mjData`; rows and columns are expressions over `m`, a `&mjModel`. The `…_f64!` variants
-//! list the arrays of doubles alone, `for_each_model_size!(callback)` the sizes.
+//! list the arrays of doubles alone, `…_editable!` those of them that hold no indices, and
+//! `for_each_model_size!(callback)` the sizes.
 #![allow(
     missing_docs,
     unreachable_pub,

@@ -1,4 +1,7 @@
 //! Accessors of every array of mjModel and mjData, generated from the table in `mjxmacro.h`.
+//!
+//! Their one-line descriptions are the comments of the installed headers.
+#![allow(clippy::doc_markdown)] // those comments know no backticks
 
 use super::{Data, Model, ModelEdit, ffi};
 use std::slice;
@@ -7,7 +10,7 @@ use std::slice;
 ///
 /// # Safety
 /// `ptr` points to `len` initialised values that live, and are not written, during `'a`.
-unsafe fn view<'a, T>(ptr: *const T, len: usize) -> &'a [T] {
+pub(super) unsafe fn view<'a, T>(ptr: *const T, len: usize) -> &'a [T] {
     if len == 0 || ptr.is_null() {
         return &[];
     }
@@ -19,7 +22,7 @@ unsafe fn view<'a, T>(ptr: *const T, len: usize) -> &'a [T] {
 ///
 /// # Safety
 /// `ptr` points to `len` initialised values that live, and are accessed by nobody else, during `'a`.
-unsafe fn view_mut<'a, T>(ptr: *mut T, len: usize) -> &'a mut [T] {
+pub(super) unsafe fn view_mut<'a, T>(ptr: *mut T, len: usize) -> &'a mut [T] {
     if len == 0 || ptr.is_null() {
         return &mut [];
     }
@@ -92,9 +95,6 @@ macro_rules! differs {
 }
 ffi::for_each_model_array!(model_arrays, m);
 
-/// Arrays an edit must not hand out: `wrap_prm` holds site indices as doubles, which C trusts.
-const NOT_EDITABLE: &[&str] = &["wrap_prm"];
-
 macro_rules! model_numbers {
     ($m:ident, $([$doc:literal] f64 $name:ident ($rows:expr) ($cols:expr);)+) => {
         /// Arrays of doubles by name.
@@ -125,30 +125,6 @@ macro_rules! model_numbers {
                 self.unchecked.clone_from(&from.unchecked);
             }
         }
-
-        /// Arrays of doubles, for writing; shapes in brackets.
-        impl ModelEdit<'_> {
-            $(#[doc = $doc]
-            #[allow(non_snake_case)]
-            pub fn $name(&mut self) -> &mut [f64] {
-                self.slice_mut(stringify!($name))
-            })+
-
-            fn slice_mut(&mut self, name: &'static str) -> &mut [f64] {
-                self.field_mut(name).unwrap_or_default()
-            }
-
-            fn field_mut(&mut self, name: &str) -> Option<&mut [f64]> {
-                let $m = self.model.raw_mut();
-                let (name, ptr, len) = match name {
-                    $(stringify!($name) => (stringify!($name), $m.$name, ($rows) * ($cols)),)+
-                    _ => return None,
-                };
-                self.touch(name);
-                // SAFETY: invariants 1 and 3; `&mut self` is exclusive.
-                Some(unsafe { view_mut(ptr, len) })
-            }
-        }
     };
 }
 ffi::for_each_model_f64!(model_numbers, m);
@@ -160,15 +136,32 @@ impl Model {
     }
 }
 
-impl ModelEdit<'_> {
-    /// The array of doubles called `name`, for writing. `None` for other types, and for `wrap_prm`.
-    pub fn numeric_field_mut(&mut self, name: &str) -> Option<&mut [f64]> {
-        if NOT_EDITABLE.contains(&name) {
-            return None;
+macro_rules! model_edits {
+    ($m:ident, $([$doc:literal] f64 $name:ident ($rows:expr) ($cols:expr);)+) => {
+        /// Arrays of doubles, for writing; shapes in brackets.
+        impl ModelEdit<'_> {
+            $(#[doc = $doc]
+            #[allow(non_snake_case)]
+            pub fn $name(&mut self) -> &mut [f64] {
+                self.touch(stringify!($name));
+                let $m = self.model.raw_mut();
+                let (ptr, len) = ($m.$name, ($rows) * ($cols));
+                // SAFETY: invariants 1 and 3; `&mut self` is exclusive.
+                unsafe { view_mut(ptr, len) }
+            })+
+
+            /// The array of doubles called `name`, for writing. `None` for arrays of other types,
+            /// and for `wrap_prm`, in which C looks for site indices.
+            pub fn numeric_field_mut(&mut self, name: &str) -> Option<&mut [f64]> {
+                match name {
+                    $(stringify!($name) => Some(self.$name()),)+
+                    _ => None,
+                }
+            }
         }
-        self.field_mut(name)
-    }
+    };
 }
+ffi::for_each_model_editable!(model_edits, m);
 
 macro_rules! data_arrays {
     ($m:ident, $([$doc:literal] $element:tt $name:ident ($rows:expr) ($cols:expr);)+) => {
@@ -215,100 +208,4 @@ data_inputs! {
     mocap_pos mocap_pos_mut;
     mocap_quat mocap_quat_mut;
     userdata userdata_mut;
-}
-
-/// One detected contact.
-#[repr(transparent)]
-pub struct Contact(ffi::mjContact);
-
-impl Contact {
-    /// Distance between nearest points in metres, negative in penetration.
-    pub fn dist(&self) -> f64 {
-        self.0.dist
-    }
-    /// Position, midway between the surfaces, world frame, metres.
-    pub fn pos(&self) -> [f64; 3] {
-        self.0.pos
-    }
-    /// Contact frame, rows = normal from geom 1 to geom 2, tangent, tangent (3 × 3).
-    pub fn frame(&self) -> [f64; 9] {
-        self.0.frame
-    }
-    /// Friction: tangent 1, 2, spin, roll 1, 2.
-    pub fn friction(&self) -> [f64; 5] {
-        self.0.friction
-    }
-    /// The two geoms.
-    pub fn geoms(&self) -> [usize; 2] {
-        [self.0.geom1 as usize, self.0.geom2 as usize]
-    }
-    /// Dimension of the contact space: 1, 3, 4 or 6.
-    pub fn dim(&self) -> usize {
-        self.0.dim as usize
-    }
-    /// First of its rows in `efc_*`; `None` if it makes no force.
-    pub fn efc_address(&self) -> Option<usize> {
-        usize::try_from(self.0.efc_address).ok()
-    }
-}
-
-impl Data {
-    /// Contacts detected by the last position stage (ncon).
-    pub fn contacts(&self) -> &[Contact] {
-        let len = self.ncon().min(self.model().nconmax());
-        // SAFETY: invariants 2 and 3, at most nconmax are allocated; `Contact` is transparent.
-        unsafe { view(self.raw().contact.cast(), len) }
-    }
-}
-
-/// How often each `MuJoCo` warning was raised since the last reset or clear.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Warnings {
-    /// Nearly singular inertia matrix.
-    pub inertia: u64,
-    /// Contact buffer full: contacts were dropped.
-    pub contact_full: u64,
-    /// Constraint buffer full: constraints were dropped.
-    pub constraint_full: u64,
-    /// Visual geom buffer full.
-    pub vgeom_full: u64,
-    /// NaN, infinite or huge position: the state was reset.
-    pub bad_qpos: u64,
-    /// The same for velocity.
-    pub bad_qvel: u64,
-    /// The same for acceleration.
-    pub bad_qacc: u64,
-    /// NaN, infinite or huge control: all controls were taken as 0.
-    pub bad_ctrl: u64,
-}
-
-impl Warnings {
-    /// Whether a state or control was not a usable number, so the trajectory is worthless.
-    pub fn diverged(&self) -> bool {
-        self.bad_qpos + self.bad_qvel + self.bad_qacc + self.bad_ctrl > 0
-    }
-
-    /// Whether anything at all was raised.
-    pub fn any(&self) -> bool {
-        *self != Self::default()
-    }
-}
-
-impl Data {
-    /// Warning counts since the last [`Data::reset`], [`Data::clear_warnings`] or automatic reset.
-    pub fn warnings(&self) -> Warnings {
-        use ffi::mjtWarning_ as w;
-        let count = |kind: u32| self.warning_total(kind as usize);
-        Warnings {
-            inertia: count(w::mjWARN_INERTIA),
-            contact_full: count(w::mjWARN_CONTACTFULL),
-            constraint_full: count(w::mjWARN_CNSTRFULL),
-            vgeom_full: count(w::mjWARN_VGEOMFULL),
-            bad_qpos: count(w::mjWARN_BADQPOS),
-            bad_qvel: count(w::mjWARN_BADQVEL),
-            bad_qacc: count(w::mjWARN_BADQACC),
-            bad_ctrl: count(w::mjWARN_BADCTRL),
-        }
-    }
 }

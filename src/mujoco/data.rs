@@ -1,7 +1,7 @@
 //! One simulation: mjData and the model it was made for.
 
 use super::guard::{guarded, initialise};
-use super::{Model, ModelEdit, MujocoError, ObjectKind, Result, ffi};
+use super::{Model, MujocoError, ObjectKind, Result, ffi};
 use std::ptr::NonNull;
 use std::sync::Arc;
 
@@ -9,9 +9,35 @@ use std::sync::Arc;
 const MAX_VALUE: f64 = 1e10;
 
 /// A simulation. Moves between threads, is never shared; owns a share of its model.
+///
+/// Views borrow the simulation, so none survives a step:
+///
+/// ```compile_fail,E0502
+/// fn stale(data: &mut phantom::mujoco::Data) -> f64 {
+///     let qpos = data.qpos();
+///     data.step().ok();
+///     qpos[0]
+/// }
+/// ```
+///
+/// nor do two writable ones exist at a time:
+///
+/// ```compile_fail,E0499
+/// fn aliased(data: &mut phantom::mujoco::Data) {
+///     let (a, b) = (data.ctrl_mut(), data.ctrl_mut());
+///     a[0] = b[0];
+/// }
+/// ```
+///
+/// and threads cannot share one:
+///
+/// ```compile_fail,E0277
+/// fn shared<T: Sync>() {}
+/// shared::<phantom::mujoco::Data>();
+/// ```
 pub struct Data {
     raw: NonNull<ffi::mjData>,
-    model: Arc<Model>,
+    pub(super) model: Arc<Model>,
     /// Message of the fatal error after which nothing may be computed any more.
     poison: Option<String>,
 }
@@ -58,7 +84,7 @@ impl Data {
     }
 
     #[inline]
-    fn raw_mut(&mut self) -> &mut ffi::mjData {
+    pub(super) fn raw_mut(&mut self) -> &mut ffi::mjData {
         // SAFETY: as above, and `&mut self` is exclusive.
         unsafe { self.raw.as_mut() }
     }
@@ -87,71 +113,6 @@ impl Data {
         }
         if !self.model.unchecked.is_empty() {
             self.model.first_bad_edit()?;
-        }
-        Ok(())
-    }
-
-    /// Changes numbers of this simulation's model. If the model is shared, it is copied first.
-    ///
-    /// Derived constants are recomputed if `f` asks with [`ModelEdit::recompute_constants`]; positions
-    /// of bodies and everything else that follows from the state is then stale until the next
-    /// step or forward, the state itself is kept.
-    ///
-    /// # Errors
-    /// [`MujocoError::NotFinite`]: the simulation then refuses to compute until the number is mended.
-    pub fn edit_model<R>(&mut self, f: impl FnOnce(&mut ModelEdit<'_>) -> R) -> Result<R> {
-        if Arc::get_mut(&mut self.model).is_none() {
-            self.model = Arc::new(self.model.try_clone()?);
-        }
-        let model = Arc::get_mut(&mut self.model).ok_or_else(|| MujocoError::Fatal {
-            message: "the model copy is shared".into(),
-        })?;
-        let mut edit = ModelEdit::new(model);
-        let result = f(&mut edit);
-        let recompute = edit.recompute;
-        model.check_edits()?;
-        if recompute {
-            self.recompute_constants()?;
-        }
-        Ok(result)
-    }
-
-    /// `mj_setConst`, which leaves the reference position in qpos: put the state back.
-    fn recompute_constants(&mut self) -> Result<()> {
-        let qpos = self.qpos().to_vec();
-        let model = Arc::get_mut(&mut self.model).map(Model::as_mut_ptr);
-        let Some(model) = model else { return Ok(()) };
-        // SAFETY: the model is this simulation's own and not shared; invariant 2.
-        self.call(|_, data| unsafe { ffi::mj_setConst(model, data) })?;
-        self.qpos_mut().copy_from_slice(&qpos);
-        Ok(())
-    }
-
-    /// Uses another model of the same structure from now on.
-    ///
-    /// # Errors
-    /// [`MujocoError::ModelMismatch`]; nothing is changed then.
-    pub fn set_model(&mut self, model: Arc<Model>) -> Result<()> {
-        self.model.check_same_structure(&model, "the new model")?;
-        model.first_bad_edit()?;
-        self.model = model;
-        Ok(())
-    }
-
-    /// Gives the own model all numbers and settings of `nominal` again, in place. If the own model
-    /// is shared, it is copied first.
-    ///
-    /// # Errors
-    /// [`MujocoError::ModelMismatch`]; nothing is changed then.
-    pub fn restore_model(&mut self, nominal: &Model) -> Result<()> {
-        self.model
-            .check_same_structure(nominal, "the nominal model")?;
-        if let Some(model) = Arc::get_mut(&mut self.model) {
-            model.copy_numbers(nominal);
-        } else if !std::ptr::eq(Arc::as_ptr(&self.model), nominal) {
-            let mut own = self.model.try_clone()?;
-            own.copy_numbers(nominal);
-            self.model = Arc::new(own);
         }
         Ok(())
     }
@@ -211,9 +172,10 @@ impl Data {
         }
     }
 
-    /// Back to the initial state. A poisoned simulation stays poisoned.
+    /// Back to the initial state of the model, all inputs and warning counts cleared. A simulation
+    /// that refuses to compute (poisoned, or model edited to NaN) stays as it is.
     pub fn reset(&mut self) {
-        // SAFETY: invariant 2. A poisoned simulation is left alone.
+        // SAFETY: invariant 2.
         let _ = self.call(|m, d| unsafe { ffi::mj_resetData(m, d) });
     }
 
@@ -260,8 +222,8 @@ impl Data {
 /// Finds the first number `MuJoCo` would not accept.
 #[inline]
 pub(super) fn check(name: &'static str, values: &[f64]) -> Result<()> {
-    // written so that NaN fails
-    match values.iter().position(|v| !(v.abs() <= MAX_VALUE)) {
+    let unusable = |v: &f64| v.is_nan() || v.abs() > MAX_VALUE;
+    match values.iter().position(unusable) {
         None => Ok(()),
         Some(index) => Err(MujocoError::NotFinite {
             name,

@@ -1,7 +1,7 @@
 //! What `MuJoCo` computes: stepping, single stages, inverse dynamics, Jacobians.
 
 use super::data::check;
-use super::{Data, MujocoError, ObjectKind, Result, ffi};
+use super::{Data, Model, MujocoError, ObjectKind, Result, ffi};
 use std::ptr;
 
 impl Data {
@@ -142,16 +142,55 @@ impl Data {
         Ok(force)
     }
 
-    /// Potential and kinetic energy in J at the current stages, whatever the energy flag says.
+    /// Potential and kinetic energy in J after a velocity stage, whether or not the model enables
+    /// their computation in each step.
     ///
     /// # Errors
     /// As [`Data::forward`].
     pub fn compute_energy(&mut self) -> Result<[f64; 2]> {
-        // SAFETY: invariant 2.
-        self.call(|m, d| unsafe { ffi::mj_energyPos(m, d) })?;
-        // SAFETY: invariant 2.
-        self.call(|m, d| unsafe { ffi::mj_energyVel(m, d) })?;
+        // MuJoCo returns zeros without the flag: pass it a header with the flag set
+        let mut header = *self.model().raw();
+        header.opt.enableflags |= ffi::mjtEnableBit_::mjENBL_ENERGY as i32;
+        let model = ptr::from_ref(&header);
+        // SAFETY: invariant 2; the arrays of `header` are those of the model, read only.
+        self.call(|_, d| unsafe { ffi::mj_energyPos(model, d) })?;
+        // SAFETY: as above.
+        self.call(|_, d| unsafe { ffi::mj_energyVel(model, d) })?;
         Ok(self.energy())
+    }
+}
+
+impl Model {
+    /// Moves `qpos` (nq) along `qvel` (nv) for `dt` seconds, quaternions kept normalised.
+    ///
+    /// # Errors
+    /// [`MujocoError::Length`].
+    pub fn integrate_pos(&self, qpos: &mut [f64], qvel: &[f64], dt: f64) -> Result<()> {
+        length("qpos", self.nq(), qpos)?;
+        length("qvel", self.nv(), qvel)?;
+        // SAFETY: valid model, lengths checked.
+        unsafe { ffi::mj_integratePos(self.as_ptr(), qpos.as_mut_ptr(), qvel.as_ptr(), dt) };
+        Ok(())
+    }
+
+    /// The velocity (nv) that leads from `from` to `to` (nq each) in `dt` seconds.
+    ///
+    /// # Errors
+    /// [`MujocoError::Length`].
+    pub fn differentiate_pos(
+        &self,
+        qvel: &mut [f64],
+        dt: f64,
+        from: &[f64],
+        to: &[f64],
+    ) -> Result<()> {
+        length("qvel", self.nv(), qvel)?;
+        length("qpos", self.nq(), from)?;
+        length("qpos", self.nq(), to)?;
+        let (q0, q1, out) = (from.as_ptr(), to.as_ptr(), qvel.as_mut_ptr());
+        // SAFETY: valid model, lengths checked.
+        unsafe { ffi::mj_differentiatePos(self.as_ptr(), out, dt, q0, q1) };
+        Ok(())
     }
 }
 

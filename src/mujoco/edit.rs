@@ -1,7 +1,11 @@
 //! The guard through which the numbers of a model are changed.
 
-use super::guard::guarded;
+use super::data::check;
+use super::guard::guarded_once;
 use super::{Model, MujocoError, Result, SolverOptions, ffi};
+
+/// Largest iteration count that a C int holds with room to spare.
+const MAX_ITERATIONS: usize = 1_000_000_000;
 
 /// Access to the doubles and settings of a model, and to nothing that could change its structure.
 ///
@@ -70,12 +74,26 @@ impl<'a> ModelEdit<'a> {
         for value in o.gravity {
             require("gravity", "finite", value, true)?;
         }
-        let limit = ffi::mjNSOLVER as usize;
         for (name, n) in [
             ("iterations", o.iterations),
             ("noslip_iterations", o.noslip_iterations),
         ] {
-            require(name, "at most 1000", n as f64, n <= limit)?;
+            require(name, "at most 1e9", n as f64, n <= MAX_ITERATIONS)?;
+        }
+        for (name, bits, count) in [
+            (
+                "disable_flags",
+                o.disable_flags,
+                ffi::mjtDisableBit_::mjNDISABLE,
+            ),
+            (
+                "enable_flags",
+                o.enable_flags,
+                ffi::mjtEnableBit_::mjNENABLE,
+            ),
+        ] {
+            let known = (0..1 << count).contains(&bits);
+            require(name, "a sum of MuJoCo's flags", f64::from(bits), known)?;
         }
         let opt = &mut self.model.raw_mut().opt;
         opt.timestep = o.timestep;
@@ -94,7 +112,7 @@ impl<'a> ModelEdit<'a> {
         Ok(())
     }
 
-    /// Asks [`super::Data::edit_model`] to recompute derived constants when the edit ends.
+    /// Asks [`Data::edit_model`](super::Data::edit_model) to recompute derived constants when the edit ends.
     pub fn recompute_constants(&mut self) {
         self.recompute = true;
     }
@@ -103,47 +121,36 @@ impl<'a> ModelEdit<'a> {
     /// temporary mjData. Dropping the guard instead leaves derived constants as they were.
     ///
     /// # Errors
-    /// [`MujocoError::NotFinite`], [`MujocoError::Fatal`].
+    /// [`MujocoError::NotFinite`], [`MujocoError::Fatal`](super::MujocoError::Fatal).
     pub fn finish(self) -> Result<()> {
-        self.model.check_edits()?;
-        let model = self.model;
+        self.model.first_bad_edit()?;
         // SAFETY: valid model.
-        let data = guarded(|| unsafe { ffi::mj_makeData(model.as_ptr()) })
-            .map_err(|message| MujocoError::Fatal { message })?;
-        if data.is_null() {
-            return Err(MujocoError::Fatal {
-                message: "could not allocate mjData".into(),
-            });
-        }
+        let data = guarded_once(|| unsafe { ffi::mj_makeData(self.model.as_ptr()) })?;
+        let model = self.model.as_mut_ptr();
         // SAFETY: the data was made for this model, which is borrowed exclusively.
-        let result = guarded(|| unsafe { ffi::mj_setConst(model.as_mut_ptr(), data) });
+        let result = guarded_once(|| unsafe { ffi::mj_setConst(model, data) });
         // SAFETY: made above, used no more.
         unsafe { ffi::mj_deleteData(data) };
-        result.map_err(|message| MujocoError::Fatal { message })
+        result
+    }
+}
+
+impl Drop for ModelEdit<'_> {
+    /// Clears the list of arrays to look at if all numbers are usable; otherwise every [`super::Data`]
+    /// with this model refuses to compute.
+    fn drop(&mut self) {
+        if self.model.first_bad_edit().is_ok() {
+            self.model.unchecked.clear();
+        }
     }
 }
 
 impl Model {
-    /// Looks for NaN and infinity in the arrays that edits handed out.
-    pub(super) fn check_edits(&mut self) -> Result<()> {
-        self.first_bad_edit()?;
-        self.unchecked.clear();
-        Ok(())
-    }
-
-    /// As `check_edits`, for a shared model.
+    /// Looks for NaN, infinite and huge (beyond ±1e10) numbers in the arrays that edits handed out.
     pub(super) fn first_bad_edit(&self) -> Result<()> {
-        for &name in &self.unchecked {
-            let values = self.numeric_field(name).unwrap_or_default();
-            if let Some(index) = values.iter().position(|v| !v.is_finite()) {
-                return Err(MujocoError::NotFinite {
-                    name,
-                    index,
-                    got: values[index],
-                });
-            }
-        }
-        Ok(())
+        self.unchecked
+            .iter()
+            .try_for_each(|name| check(name, self.numeric_field(name).unwrap_or_default()))
     }
 }
 

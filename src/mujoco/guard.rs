@@ -77,3 +77,44 @@ pub(super) fn guarded<R>(f: impl FnOnce() -> R) -> std::result::Result<R, String
 pub(super) fn guarded_once<R>(f: impl FnOnce() -> R) -> Result<R> {
     guarded(f).map_err(|message| MujocoError::Fatal { message })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::Command;
+
+    const CHILD: &str = "PHANTOM_TEST_FATAL";
+
+    /// Runs itself as a child process that raises an error nobody guards.
+    #[test]
+    fn unguarded_error_ends_the_process_with_code_3() {
+        if std::env::var_os(CHILD).is_some() {
+            initialise().expect("right version");
+            // SAFETY: the text ends in NUL.
+            unsafe { ffi::mju_error(c"out of everything".as_ptr()) };
+            return;
+        }
+        let this = std::env::current_exe().expect("test binary");
+        let child = Command::new(this)
+            .args(["--exact", "--nocapture"])
+            .arg("mujoco::guard::tests::unguarded_error_ends_the_process_with_code_3")
+            .env(CHILD, "1")
+            .output()
+            .expect("child runs");
+        assert_eq!(child.status.code(), Some(EXIT_FATAL));
+        let text = String::from_utf8_lossy(&child.stderr);
+        let line = "error: MuJoCo stopped with a fatal error: out of everything\n";
+        assert!(text.ends_with(line), "{text}");
+    }
+
+    #[test]
+    fn guarded_error_is_a_value_and_panics_pass() {
+        initialise().expect("right version");
+        // SAFETY: the text ends in NUL.
+        let result = guarded(|| unsafe { ffi::mju_error(c"boom".as_ptr()) });
+        assert_eq!(result, Err("boom".into()));
+        let panic = catch_unwind(|| guarded(|| panic!("other")));
+        assert!(panic.is_err());
+        assert!(!GUARDED.get());
+    }
+}

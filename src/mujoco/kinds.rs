@@ -131,11 +131,11 @@ pub struct SolverOptions {
     pub cone: Cone,
     /// Jacobian storage.
     pub jacobian: Jacobian,
-    /// Largest number of solver iterations, 0 to 1000.
+    /// Largest number of solver iterations.
     pub iterations: usize,
     /// Solver stops below this scaled improvement.
     pub tolerance: f64,
-    /// Iterations of the no-slip pass, 0 to 1000; 0 = off.
+    /// Iterations of the no-slip pass, 0 = off.
     pub noslip_iterations: usize,
     /// Stop of the no-slip pass.
     pub noslip_tolerance: f64,

@@ -24,14 +24,16 @@ mod error;
 mod guard;
 mod kinds;
 mod model;
+mod outcome;
 mod state;
+mod swap;
 
-pub use arrays::{Contact, Warnings};
 pub use data::Data;
 pub use edit::ModelEdit;
 pub use error::{MujocoError, Result};
 pub use kinds::{Cone, Integrator, Jacobian, ObjectKind, Solver, SolverOptions};
 pub use model::Model;
+pub use outcome::{Contact, Warnings};
 pub use state::State;
 
 use mujoco_sys as ffi;

@@ -5,6 +5,7 @@ use super::kinds::{Cone, Integrator, Jacobian, ObjectKind, Solver, SolverOptions
 use super::{ModelEdit, MujocoError, Result, ffi};
 use std::ffi::{CStr, CString, c_char};
 use std::fs;
+use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 use std::ptr::{self, NonNull};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,6 +14,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const MESSAGE_LEN: usize = 1000;
 /// Name under which a model given as text is known.
 const STRING_NAME: &CStr = c"model.xml";
+
+/// Gives every loaded model its `origin`.
+static NEXT_ORIGIN: AtomicU64 = AtomicU64::new(0);
 
 /// A compiled `MuJoCo` model. Shared between threads read-only, through `Arc`.
 pub struct Model {
@@ -48,10 +52,8 @@ impl Model {
             return Err(refuse("it is empty".into()));
         }
         fs::File::open(path).map_err(|e| refuse(e.to_string()))?;
-        let text = path
-            .to_str()
-            .ok_or_else(|| refuse("its path is not UTF-8".into()))?;
-        let name = CString::new(text).map_err(|_| refuse("its path holds a NUL".into()))?;
+        let bytes = path.as_os_str().as_bytes();
+        let name = CString::new(bytes).map_err(|_| refuse("its path holds a NUL".into()))?;
         Self::load(path, &name, ptr::null())
     }
 
@@ -110,8 +112,7 @@ impl Model {
             file: file.into(),
             message,
         })?;
-        static NEXT: AtomicU64 = AtomicU64::new(0);
-        let origin = NEXT.fetch_add(1, Ordering::Relaxed);
+        let origin = NEXT_ORIGIN.fetch_add(1, Ordering::Relaxed);
         Ok(Self {
             raw,
             origin,
@@ -161,7 +162,6 @@ impl Model {
     /// # Errors
     /// [`MujocoError::UnknownName`], which lists the names there are.
     pub fn id(&self, kind: ObjectKind, name: &str) -> Result<usize> {
-        let known = || (0..self.count(kind)).filter_map(|i| self.name(kind, i));
         let id = CString::new(name).ok().map_or(-1, |text| {
             // SAFETY: valid model, name ends in NUL.
             unsafe { ffi::mj_name2id(self.as_ptr(), kind.object(), text.as_ptr()) }
@@ -172,7 +172,10 @@ impl Model {
             .ok_or_else(|| MujocoError::UnknownName {
                 kind: kind.text(),
                 name: name.into(),
-                known: known().map(String::from).collect(),
+                known: (0..self.count(kind))
+                    .filter_map(|i| self.name(kind, i))
+                    .map(String::from)
+                    .collect(),
             })
     }
 
