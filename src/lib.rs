@@ -1,5 +1,7 @@
 //! phantom: training, identification and gap finding on `MuJoCo` 2.2.2.
 
+pub mod bench;
+pub mod cli;
 pub mod evaluate;
 pub mod mujoco;
 pub mod npg;

@@ -249,6 +249,17 @@ impl Sampler {
         Ok(draw)
     }
 
+    /// A simulation in the start state of trajectory `index`, in the model it would be rolled out in.
+    ///
+    /// # Errors
+    /// As [`Self::sample`].
+    pub fn start(&self, request: &BatchRequest<'_>, index: u64) -> Result<Data, RolloutError> {
+        let worker = self.workers[0].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut data = Data::new(Arc::new(worker.data.model().clone()))?;
+        self.prepare(&mut data, request, index)?;
+        Ok(data)
+    }
+
     /// Draw the model of `draw` into `data` and reset it.
     fn draw_model(&self, data: &mut Data, seed: u64, draw: ModelDraw) -> Result<(), RolloutError> {
         let mut rng = rng::stream(seed, Purpose::Model, draw.iteration, draw.index);

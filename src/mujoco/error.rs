@@ -105,6 +105,13 @@ pub enum MujocoError {
     },
 }
 
+impl MujocoError {
+    /// Whether the engine itself gave up, as opposed to refusing an input.
+    pub fn is_fatal(&self) -> bool {
+        matches!(self, Self::Fatal { .. } | Self::Poisoned { .. })
+    }
+}
+
 fn list(names: &[String]) -> String {
     if names.is_empty() {
         return "none".into();

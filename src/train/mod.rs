@@ -94,6 +94,8 @@ pub struct IterationRecord {
     pub sigma: f64,
     /// trajectories that broke down in this iteration
     pub diverged: Vec<Diverged>,
+    /// trajectories of this iteration
+    pub n_trajectory: usize,
     /// physics steps of this iteration
     pub physics_steps: u64,
     /// seconds of rolling out
@@ -275,6 +277,7 @@ impl Trainer {
             update,
             sigma,
             diverged,
+            n_trajectory: self.batch.len(),
             physics_steps,
             rollout_s,
             update_s,

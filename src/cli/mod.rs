@@ -1,0 +1,101 @@
+//! The command line: arguments in, a library call, files and a summary out.
+//!
+//! Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 3 `MuJoCo` fatal error.
+#![allow(clippy::print_stdout, clippy::print_stderr)] // what this module is for
+
+mod bench;
+mod error;
+mod eval;
+mod replay;
+mod train;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::mujoco::Model;
+pub use error::CliError;
+
+/// Model used when none is named, relative to the working directory or to the checkout.
+const DEFAULT_MODEL: &str = "xml/phantom.xml";
+
+/// Train robot policies in `MuJoCo`, and test them.
+#[derive(Debug, Parser)]
+#[command(version, about, propagate_version = true, arg_required_else_help = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Train a policy by natural policy gradient
+    Train(train::TrainArgs),
+    /// Test a policy: follow a target on a spiral, as in the paper's Table 1
+    Eval(eval::EvalArgs),
+    /// Measure speed and memory
+    Bench(bench::BenchArgs),
+    /// Run a trajectory again that broke down in training
+    Replay(replay::ReplayArgs),
+}
+
+impl Cli {
+    /// Run the chosen command.
+    ///
+    /// # Errors
+    /// Whatever the user has to put right; see [`CliError::report`].
+    pub fn run(self) -> Result<ExitCode, CliError> {
+        match self.command {
+            Command::Train(args) => args.run(),
+            Command::Eval(args) => args.run(),
+            Command::Bench(args) => args.run(),
+            Command::Replay(args) => args.run(),
+        }
+    }
+}
+
+/// The model file to use: the named one, else the shipped one.
+fn model_path(named: Option<&Path>) -> PathBuf {
+    if let Some(path) = named {
+        return path.to_owned();
+    }
+    let local = PathBuf::from(DEFAULT_MODEL);
+    match std::env::var_os("PHANTOM_ROOT") {
+        Some(root) if !local.exists() => Path::new(&root).join(DEFAULT_MODEL),
+        _ => local,
+    }
+}
+
+fn load_model(path: &Path) -> Result<Model, CliError> {
+    Ok(Model::from_xml_path(path)?)
+}
+
+/// Worker threads: as asked, else one a core.
+fn thread_count(asked: Option<usize>) -> usize {
+    asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get))
+}
+
+/// clap parser of a number above 0.
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("expected a positive number".to_owned()),
+    }
+}
+
+/// clap parser of a number of at least 0.
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        _ => Err("expected a number of at least 0".to_owned()),
+    }
+}
+
+/// clap parser of a count.
+fn count(text: &str) -> Result<usize, String> {
+    match text.parse::<usize>() {
+        Ok(value) if (1..=1_000_000).contains(&value) => Ok(value),
+        _ => Err("expected a whole number from 1 to 1000000".to_owned()),
+    }
+}
