@@ -81,8 +81,9 @@ pub struct Trajectory {
     pub noise: Vec<f64>,
     /// (T)
     pub rewards: Vec<f64>,
-    /// (n_observation) after the last step: the true next state of the truncated trajectory
-    pub final_observation: Vec<f64>,
+    /// (T + 1 × n_value_input) what the value function sees; the last row is the true next state of the truncated
+    /// trajectory
+    pub value_inputs: Vec<f64>,
     /// (T) task error after each step, m
     pub distances_m: Vec<f64>,
     /// a state on the way, drawn uniformly over time
@@ -126,6 +127,7 @@ impl Trajectory {
 struct Worker {
     data: Data,
     observation: Vec<f64>,
+    value_input: Vec<f64>,
     action: Vec<f64>,
 }
 
@@ -173,8 +175,12 @@ impl Sampler {
         let workers = (0..threads)
             .map(|_| {
                 let data = Data::new(Arc::new(model.clone()))?;
-                let (observation, action) = (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
-                Ok(Mutex::new(Worker { data, observation, action }))
+                Ok(Mutex::new(Worker {
+                    data,
+                    observation: vec![0.0; task.n_observation()],
+                    value_input: vec![0.0; task.n_value_input()],
+                    action: vec![0.0; task.n_action()],
+                }))
             })
             .collect::<Result<_, RolloutError>>()?;
         Ok(Self { pool, workers, task, randomiser, config })
@@ -276,7 +282,7 @@ impl Sampler {
         index: u64,
         trajectory: &mut Trajectory,
     ) -> Result<(), RolloutError> {
-        let Worker { data, observation, action } = worker;
+        let Worker { data, observation, value_input, action } = worker;
         let (task, horizon) = (self.task.as_ref(), self.config.horizon);
         let model = self.prepare(data, request, index)?;
         let start = Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() };
@@ -287,6 +293,8 @@ impl Sampler {
         trajectory.clear();
         let mut actions = Vec::with_capacity(horizon * action.len());
         let mut noise = vec![0.0; action.len()];
+        task.observe_value(data, value_input);
+        trajectory.value_inputs.extend_from_slice(value_input);
         for step in 0..horizon {
             task.observe(data, observation);
             trajectory.observations.extend_from_slice(observation);
@@ -301,13 +309,13 @@ impl Sampler {
                 return Ok(());
             }
             trajectory.rewards.push(reward);
+            task.observe_value(data, value_input);
+            trajectory.value_inputs.extend_from_slice(value_input);
             trajectory.distances_m.push(task.distance_m(data));
             if step == visit {
                 trajectory.visited = Some(Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() });
             }
         }
-        task.observe(data, observation);
-        trajectory.final_observation.extend_from_slice(observation);
         Ok(())
     }
 
@@ -365,7 +373,7 @@ impl Trajectory {
         self.observations.clear();
         self.noise.clear();
         self.rewards.clear();
-        self.final_observation.clear();
+        self.value_inputs.clear();
         self.distances_m.clear();
         self.visited = None;
         self.diverged = None;

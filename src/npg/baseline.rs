@@ -1,8 +1,8 @@
-//! The value function: quadratic in all terms of the observation, plus powers of time, fitted by ridge regression.
+//! The value function: quadratic in all terms of what it sees, plus powers of time, fitted by ridge regression.
 //!
 //! ```text
-//! x = clip((s - mean) / scale, ±CLIP)                      mean and scale of the batch it was fitted on
-//! ψ = (1, x_i, x_i x_j for i ≥ j, τ, τ², τ³, τ⁴),  τ = t / horizon     707 features for 36 observations
+//! x = clip((s - mean) / scale, ±CLIP)                      s: the task's value inputs; mean and scale of the batch it was fitted on
+//! ψ = (1, x_i, x_i x_j for i ≥ j, τ, τ², τ³, τ⁴),  τ = t / horizon     784 features for 38 inputs
 //! w = argmin Σ (w·ψ - y)² / n + ridge Σ' w²                (the constant is not shrunk)
 //! ```
 //!
@@ -42,8 +42,8 @@ pub struct FitReport {
 /// One trajectory as the fit sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Target<'a> {
-    /// (T × n_observation)
-    pub observations: &'a [f64],
+    /// (T or more × n_input)
+    pub inputs: &'a [f64],
     /// (T)
     pub returns: &'a [f64],
 }
@@ -61,8 +61,13 @@ pub struct Fit {
 
 impl Baseline {
     /// A function that is zero everywhere.
-    pub fn zero(n_observation: usize) -> Self {
-        Self { mean: vec![0.0; n_observation], inverse_scale: vec![0.0; n_observation], weights: Vec::new() }
+    pub fn zero(n_input: usize) -> Self {
+        Self { mean: vec![0.0; n_input], inverse_scale: vec![0.0; n_input], weights: Vec::new() }
+    }
+
+    /// Number of inputs.
+    pub fn n_input(&self) -> usize {
+        self.mean.len()
     }
 
     fn n_feature(&self) -> usize {
@@ -111,9 +116,9 @@ impl Baseline {
     }
 
     /// Whether every number is finite and the lengths belong together.
-    pub fn is_sound(&self, n_observation: usize) -> bool {
-        self.mean.len() == n_observation
-            && self.inverse_scale.len() == n_observation
+    pub fn is_sound(&self, n_input: usize) -> bool {
+        self.mean.len() == n_input
+            && self.inverse_scale.len() == n_input
             && (self.weights.is_empty() || self.weights.len() == self.n_feature())
             && [&self.mean, &self.inverse_scale, &self.weights].iter().all(|v| v.iter().all(|x| x.is_finite()))
     }
@@ -137,8 +142,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 ///
 /// Returns `None` when there are fewer samples than features or the system cannot be factored, which happens only with
 /// non-finite input.
-pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride: usize, ridge: f64) -> Option<Fit> {
-    let shape = standardise(targets, n_observation);
+pub fn fit(targets: &[Target<'_>], n_input: usize, horizon: usize, stride: usize, ridge: f64) -> Option<Fit> {
+    let shape = standardise(targets, n_input);
     let n = shape.n_feature();
 
     // per lane: Σ (ψ, y)(ψ, y)ᵀ, the target as one more column
@@ -146,7 +151,7 @@ pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride:
     let sums = gram::lanes(targets, |lane| {
         let mut gram = Gram::new(n + 1);
         for target in lane {
-            let rows = target.observations.chunks_exact(n_observation).zip(target.returns).enumerate();
+            let rows = target.inputs.chunks_exact(n_input).zip(target.returns).enumerate();
             // the phase moves along with the trajectory so that every time is visited
             for (t, (observation, y)) in rows.step_by(stride) {
                 gram.push(|panel| {
@@ -184,7 +189,7 @@ pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride:
         let explained_variance = if variance > 0.0 { 1.0 - residual / variance } else { 0.0 };
         let report = FitReport { explained_variance, condition, n_sample: count as usize };
         let baseline = Baseline { weights: weights.as_slice().to_vec(), ..shape.clone() };
-        baseline.is_sound(n_observation).then_some((baseline, report))
+        baseline.is_sound(n_input).then_some((baseline, report))
     };
     if n_even.min(n_odd) < n {
         return None;
@@ -196,31 +201,31 @@ pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride:
 }
 
 /// A weightless function that standardises as `targets` ask for.
-fn standardise(targets: &[Target<'_>], n_observation: usize) -> Baseline {
+fn standardise(targets: &[Target<'_>], n_input: usize) -> Baseline {
     let sums = gram::lanes(targets, |lane| {
-        let mut sum = vec![0.0; 2 * n_observation + 1];
+        let mut sum = vec![0.0; 2 * n_input + 1];
         for target in lane {
-            for observation in target.observations.chunks_exact(n_observation) {
+            for observation in target.inputs.chunks_exact(n_input) {
                 for (i, s) in observation.iter().enumerate() {
                     sum[i] += s;
-                    sum[n_observation + i] += s * s;
+                    sum[n_input + i] += s * s;
                 }
-                sum[2 * n_observation] += 1.0;
+                sum[2 * n_input] += 1.0;
             }
         }
         sum
     });
-    let mut total = vec![0.0; 2 * n_observation + 1];
+    let mut total = vec![0.0; 2 * n_input + 1];
     for sum in sums {
         for (t, s) in total.iter_mut().zip(sum) {
             *t += s;
         }
     }
-    let count = total[2 * n_observation].max(1.0);
-    let mean: Vec<f64> = total[..n_observation].iter().map(|s| s / count).collect();
+    let count = total[2 * n_input].max(1.0);
+    let mean: Vec<f64> = total[..n_input].iter().map(|s| s / count).collect();
     let inverse_scale = mean
         .iter()
-        .zip(&total[n_observation..2 * n_observation])
+        .zip(&total[n_input..2 * n_input])
         .map(|(mean, square)| {
             let variance = square / count - mean * mean;
             // below the rounding of the sums the observation is a constant

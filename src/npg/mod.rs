@@ -280,19 +280,20 @@ fn fit_baseline(
     horizon: usize,
     config: &NpgConfig,
 ) -> Option<baseline::Fit> {
-    let n_observation = usable[0].final_observation.len();
+    let n_input = baseline.n_input();
     let returns = per_trajectory(usable, |trajectory| {
         let (mut last, mut returns) = (Vec::new(), Vec::new());
-        baseline.values(&trajectory.final_observation, trajectory.len(), horizon, &mut last);
+        let end = &trajectory.value_inputs[trajectory.len() * n_input..];
+        baseline.values(end, trajectory.len(), horizon, &mut last);
         advantage::returns(&trajectory.rewards, last[0], config.discount, &mut returns);
         returns
     });
     let targets: Vec<Target<'_>> = usable
         .iter()
         .zip(&returns)
-        .map(|(trajectory, returns)| Target { observations: &trajectory.observations, returns })
+        .map(|(trajectory, returns)| Target { inputs: &trajectory.value_inputs, returns })
         .collect();
-    baseline::fit(&targets, n_observation, horizon, config.value_stride, config.value_ridge)
+    baseline::fit(&targets, n_input, horizon, config.value_stride, config.value_ridge)
 }
 
 /// Generalised advantages of every trajectory.
@@ -310,8 +311,7 @@ fn advantages(
             _ => previous,
         };
         let (mut values, mut advantages) = (Vec::with_capacity(trajectory.len() + 1), Vec::new());
-        value.values(&trajectory.observations, 0, horizon, &mut values);
-        value.values(&trajectory.final_observation, trajectory.len(), horizon, &mut values);
+        value.values(&trajectory.value_inputs, 0, horizon, &mut values);
         advantage::generalised_advantages(
             &trajectory.rewards,
             &values,

@@ -83,6 +83,17 @@ pub trait Task: Send + Sync {
     /// Write the observation of the current state.
     fn observe(&self, data: &Data, observation: &mut [f64]);
 
+    /// Number of inputs of the value function.
+    fn n_value_input(&self) -> usize {
+        self.n_observation()
+    }
+
+    /// Write what the value function sees of the current state. It exists in simulation only, so it may see more than
+    /// the policy: any function of the state leaves the gradient unbiased, and a better one makes it less noisy.
+    fn observe_value(&self, data: &Data, input: &mut [f64]) {
+        self.observe(data, input);
+    }
+
     /// The reward of `action` having led to the current state.
     fn reward(&self, data: &Data, action: &[f64]) -> f64;
 

@@ -94,6 +94,7 @@ pub struct PushTask {
     tip_geoms: [usize; N_FINGER],    // geom ids
     object_geom: usize,              // geom id
     object_qpos: usize,              // address of the free joint in qpos
+    object_dof: usize,               // address of the free joint in qvel
     goal: usize,                     // mocap index
     start_low: Vec<f64>,             // (9) motor coordinates, rad
     start_high: Vec<f64>,            // (9)
@@ -146,6 +147,7 @@ impl PushTask {
             tip_geoms,
             object_geom: model.id(ObjectKind::Geom, "object")?,
             object_qpos,
+            object_dof: model.jnt_dofadr()[object_joint] as usize,
             goal,
             start_low: numeric(model, "start_low", N_MOTOR)?,
             start_high: numeric(model, "start_high", N_MOTOR)?,
@@ -268,6 +270,19 @@ impl Task for PushTask {
         observation[N_JOINT..2 * N_JOINT].copy_from_slice(&data.qvel()[..N_JOINT]);
         observation[2 * N_JOINT..2 * N_JOINT + 3].copy_from_slice(self.object(data));
         observation[2 * N_JOINT + 3..].copy_from_slice(self.goal(data));
+    }
+
+    /// The observation and the object's velocity in the plane, m/s. The policy must do without it, since measuring it
+    /// takes a state estimator; the value function need not, and most of the reward to come hangs on where the object
+    /// is about to slide.
+    fn n_value_input(&self) -> usize {
+        N_OBSERVATION + 2
+    }
+
+    fn observe_value(&self, data: &Data, input: &mut [f64]) {
+        let (observation, velocity) = input.split_at_mut(N_OBSERVATION);
+        self.observe(data, observation);
+        velocity.copy_from_slice(&data.qvel()[self.object_dof..self.object_dof + 2]);
     }
 
     fn reward(&self, data: &Data, action: &[f64]) -> f64 {

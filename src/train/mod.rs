@@ -145,7 +145,7 @@ impl Trainer {
         let state = Checkpoint {
             iteration: 0,
             policy,
-            baseline: Baseline::zero(task.n_observation()),
+            baseline: Baseline::zero(task.n_value_input()),
             pool: Vec::new(),
             physics_steps: 0,
             seconds: 0.0,
@@ -170,7 +170,7 @@ impl Trainer {
     /// When it does not fit the task or holds a number that is not finite; the trainer is then unchanged.
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Result<(), TrainError> {
         checkpoint.policy.check(self.task.n_observation(), self.task.n_action())?;
-        if !checkpoint.baseline.is_sound(self.task.n_observation()) {
+        if !checkpoint.baseline.is_sound(self.task.n_value_input()) {
             return Err(TrainError::Checkpoint("`baseline` has a wrong length or a number that is not finite".into()));
         }
         let (nq, nv) = (self.model.nq(), self.model.nv());
