@@ -111,7 +111,7 @@ fn follow(
         task.observe(&data, &mut observation);
         policy.mean(&observation, &mut action);
         hold(&mut data, &action, 1)?;
-        if let Some(reason) = breakdown(&data, task.reward(&data, &action)) {
+        if let Some(reason) = breakdown(&data, task.reward(&data)) {
             diverged = Some(reason);
             break;
         }

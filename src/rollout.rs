@@ -302,7 +302,7 @@ impl Sampler {
             trajectory.noise.extend_from_slice(&noise);
             actions.extend_from_slice(action);
             hold(data, action, self.config.control_hold)?;
-            let reward = task.reward(data, action);
+            let reward = task.reward(data);
             if let Some(reason) = breakdown(data, reward) {
                 let actions = std::mem::take(&mut actions);
                 trajectory.diverged = Some(Diverged { reason, step, start, mocap_pos, actions });
@@ -333,7 +333,7 @@ impl Sampler {
         data.step1()?;
         for (step, action) in dump.actions.chunks_exact(self.task.n_action()).enumerate() {
             hold(data, action, self.config.control_hold)?;
-            if let Some(reason) = breakdown(data, self.task.reward(data, action)) {
+            if let Some(reason) = breakdown(data, self.task.reward(data)) {
                 return Ok(Some((step, reason)));
             }
         }

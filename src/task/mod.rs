@@ -94,8 +94,8 @@ pub trait Task: Send + Sync {
         self.observe(data, input);
     }
 
-    /// The reward of `action` having led to the current state.
-    fn reward(&self, data: &Data, action: &[f64]) -> f64;
+    /// The reward of the step that led to the current state.
+    fn reward(&self, data: &Data) -> f64;
 
     /// The error the task is about, in m; reported, never optimised directly.
     fn distance_m(&self, data: &Data) -> f64;

@@ -6,6 +6,9 @@
 //! reward           = 1 - 3 ‖O - G‖_xy - Σ_i ‖f_i - O‖ - 0.1 ‖a‖²
 //! ```
 //!
+//! The squared torque is that of the torques the motors give, which are limited. Charging for what the policy asks for
+//! instead makes the cost of one trajectory that runs away, a thousand times that of all others, decide the update.
+//!
 //! The paper writes the fingertip term as ‖f_i − O_xy‖. It is read here as the distance in space to the object's
 //! centre ([`TipDistance::Space`]): taken in the plane only ([`TipDistance::Plane`], selectable), a finger is paid for
 //! hovering above the cylinder, and policies learn to.
@@ -285,7 +288,7 @@ impl Task for PushTask {
         velocity.copy_from_slice(&data.qvel()[self.object_dof..self.object_dof + 2]);
     }
 
-    fn reward(&self, data: &Data, action: &[f64]) -> f64 {
+    fn reward(&self, data: &Data) -> f64 {
         let object = self.object(data);
         let site = data.site_xpos();
         let tips: f64 = self
@@ -300,7 +303,7 @@ impl Task for PushTask {
                 (tip[0] - object[0]).hypot(tip[1] - object[1]).hypot(height)
             })
             .sum();
-        let torque: f64 = action.iter().map(|a| a * a).sum();
+        let torque: f64 = data.actuator_force().iter().map(|a| a * a).sum();
         1.0 - self.config.goal_weight * self.distance_m(data)
             - self.config.tip_weight * tips
             - self.config.torque_weight * torque
