@@ -49,14 +49,19 @@ pub(super) fn initialise() -> Result<()> {
         // SAFETY: as above.
         unsafe { ffi::mju_user_warning = Some(on_warning) };
     });
-    // SAFETY: reads a constant of the library.
-    let got = unsafe { ffi::mj_version() };
+    let got = library_version();
     let expected = ffi::mjVERSION_HEADER as i32;
     if got == expected {
         Ok(())
     } else {
         Err(MujocoError::Version { expected, got })
     }
+}
+
+/// Version of the library loaded at run time, 222 for 2.2.2.
+pub fn library_version() -> i32 {
+    // SAFETY: takes nothing, reads a constant of the library.
+    unsafe { ffi::mj_version() }
 }
 
 /// Runs `f`, which calls `MuJoCo`, and returns a fatal error as a value.
