@@ -1,4 +1,4 @@
-//! What the binary was built from, for the provenance file of each run.
+//! What the binary was built from, for the provenance file of each run, and where its MuJoCo library is.
 
 use std::{env, path::Path, process::Command};
 
@@ -16,6 +16,11 @@ fn main() {
 
     let header = env::var("DEP_MUJOCO_HEADER_VERSION").unwrap_or_else(|_| "222".to_owned());
     println!("cargo::rustc-env=PHANTOM_MUJOCO_HEADER_VERSION={header}");
+
+    // set when MUJOCO_DIR is: the program must find that library again without LD_LIBRARY_PATH
+    if let Ok(folder) = env::var("DEP_MUJOCO_LIB_DIR") {
+        println!("cargo::rustc-link-arg=-Wl,-rpath,{folder}");
+    }
 
     let rustc = env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
     let version = output(&rustc, &["--version"]).unwrap_or_else(|| "unknown".to_owned());

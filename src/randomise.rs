@@ -111,6 +111,9 @@ const ATTRIBUTES: &[Attribute] = &[
     attribute("geom", "size", ObjectKind::Geom, "geom_size", true),
     attribute("geom", "solref", ObjectKind::Geom, "geom_solref", false),
     attribute("geom", "solimp", ObjectKind::Geom, "geom_solimp", true),
+    attribute("pair", "friction", ObjectKind::Pair, "pair_friction", true),
+    attribute("pair", "solref", ObjectKind::Pair, "pair_solref", false),
+    attribute("pair", "solimp", ObjectKind::Pair, "pair_solimp", true),
     attribute("site", "pos", ObjectKind::Site, "site_pos", false),
     attribute("actuator", "gear", ObjectKind::Actuator, "actuator_gear", false),
 ];
@@ -124,7 +127,7 @@ struct Slot {
 }
 
 /// Arrays no derived constant depends on as long as only bases and surfaces are drawn.
-const KINEMATIC: [&str; 4] = ["body_pos", "geom_friction", "geom_solref", "geom_solimp"];
+const KINEMATIC: [&str; 4] = ["body_pos", "pair_friction", "pair_solref", "pair_solimp"];
 
 #[derive(Debug, Clone)]
 struct Target {

@@ -358,7 +358,7 @@ pub fn hold(data: &mut Data, action: &[f64], steps: usize) -> Result<(), MujocoE
 pub fn breakdown(data: &Data, reward: f64) -> Option<String> {
     let warnings = data.warnings();
     if warnings.any() {
-        return Some(format!("{warnings:?}"));
+        return Some(warnings.to_string());
     }
     (!reward.is_finite()).then(|| format!("reward is {reward}"))
 }

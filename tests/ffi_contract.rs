@@ -1,7 +1,7 @@
 //! Versions, sizes, array lengths, stages: what the layer promises about the C library.
 
 use mujoco_sys as ffi;
-use phantom::mujoco::{Data, Model, ObjectKind};
+use phantom::mujoco::{Data, Model, ObjectKind, library_version};
 use std::sync::Arc;
 
 fn load(name: &str) -> Arc<Model> {
@@ -11,10 +11,7 @@ fn load(name: &str) -> Arc<Model> {
 #[test]
 fn library_and_headers_are_version_2_2_2() {
     assert_eq!(ffi::mjVERSION_HEADER, 222);
-    // SAFETY: takes nothing and reads a constant.
-    #[allow(unsafe_code)]
-    let library = unsafe { ffi::mj_version() };
-    assert_eq!(library, 222);
+    assert_eq!(library_version(), 222);
 }
 
 /// `nbody`, `3`, `mjNREF`, `nmocap*3` … as a number, independently of the generated expressions.

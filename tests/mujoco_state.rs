@@ -161,6 +161,7 @@ fn edits_copy_a_shared_model_and_restore_brings_the_nominal_back() {
     data.edit_model(|edit| {
         edit.body_mass()[1] *= 2.0;
         edit.numeric_field_mut("body_pos").expect("by name")[6] += 0.01;
+        edit.set_timestep(0.0005).expect("legal");
         edit.recompute_constants();
     })
     .expect("finite");
@@ -185,6 +186,7 @@ fn edits_copy_a_shared_model_and_restore_brings_the_nominal_back() {
             "{field}"
         );
     }
+    assert_eq!(data.model().option(), nominal.option());
     data.reset();
     reference.reset();
     assert_eq!(drive(&mut data, 100), drive(&mut reference, 100));

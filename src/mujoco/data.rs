@@ -1,6 +1,6 @@
 //! One simulation: mjData and the model it was made for.
 
-use super::guard::{guarded, initialise};
+use super::guard::{guarded, guarded_once, initialise, null_error};
 use super::{Model, MujocoError, ObjectKind, Result, ffi};
 use std::ptr::NonNull;
 use std::sync::Arc;
@@ -55,10 +55,7 @@ impl Data {
     pub fn new(model: Arc<Model>) -> Result<Self> {
         initialise()?;
         model.first_bad_edit()?;
-        let fatal = |message| MujocoError::Fatal { message };
-        // SAFETY: valid model.
-        let raw = guarded(|| unsafe { ffi::mj_makeData(model.as_ptr()) }).map_err(fatal)?;
-        let raw = NonNull::new(raw).ok_or_else(|| fatal("could not allocate mjData".into()))?;
+        let raw = allocate(&model)?;
         Ok(Self {
             raw,
             model,
@@ -217,6 +214,13 @@ impl Data {
         check("mocap_pos", self.mocap_pos())?;
         check("mocap_quat", self.mocap_quat())
     }
+}
+
+/// An mjData for `model`, which the caller frees.
+pub(super) fn allocate(model: &Model) -> Result<NonNull<ffi::mjData>> {
+    // SAFETY: valid model.
+    let raw = guarded_once(|| unsafe { ffi::mj_makeData(model.as_ptr()) })?;
+    NonNull::new(raw).ok_or_else(|| null_error("could not allocate mjData"))
 }
 
 /// Finds the first number `MuJoCo` would not accept.

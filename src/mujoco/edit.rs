@@ -1,6 +1,6 @@
 //! The guard through which the numbers of a model are changed.
 
-use super::data::check;
+use super::data::{allocate, check};
 use super::guard::guarded_once;
 use super::{Model, MujocoError, Result, SolverOptions, ffi};
 
@@ -124,8 +124,7 @@ impl<'a> ModelEdit<'a> {
     /// [`MujocoError::NotFinite`], [`MujocoError::Fatal`](super::MujocoError::Fatal).
     pub fn finish(self) -> Result<()> {
         self.model.first_bad_edit()?;
-        // SAFETY: valid model.
-        let data = guarded_once(|| unsafe { ffi::mj_makeData(self.model.as_ptr()) })?;
+        let data = allocate(self.model)?.as_ptr();
         let model = self.model.as_mut_ptr();
         // SAFETY: the data was made for this model, which is borrowed exclusively.
         let result = guarded_once(|| unsafe { ffi::mj_setConst(model, data) });

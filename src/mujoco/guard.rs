@@ -5,7 +5,7 @@
 //! line and ends the process with code 3.
 
 use super::{MujocoError, Result, ffi};
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::ffi::{CStr, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Once;
@@ -19,6 +19,8 @@ struct Thrown(String);
 thread_local! {
     /// Whether this thread is inside [`guarded`].
     static GUARDED: Cell<bool> = const { Cell::new(false) };
+    /// The last warning of this thread: the reason when a call returns null.
+    static WARNING: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
 extern "C-unwind" fn on_error(message: *const c_char) {
@@ -37,8 +39,18 @@ fn end_process(text: &str) -> ! {
     std::process::exit(EXIT_FATAL);
 }
 
-/// Warnings are counted in mjData; without a handler they would go to a log file.
-extern "C-unwind" fn on_warning(_message: *const c_char) {}
+/// Warnings of a simulation are counted in its mjData; without a handler they go to a log file.
+extern "C-unwind" fn on_warning(message: *const c_char) {
+    // SAFETY: MuJoCo passes a NUL-terminated buffer that lives during the call.
+    let text = unsafe { CStr::from_ptr(message) };
+    WARNING.set(Some(text.to_string_lossy().into_owned()));
+}
+
+/// The error for a call that returned null: the warning it raised, if any.
+pub(super) fn null_error(otherwise: &str) -> MujocoError {
+    let message = WARNING.take().unwrap_or_else(|| otherwise.into());
+    MujocoError::Fatal { message }
+}
 
 /// Installs the handlers and checks the library's version, once.
 pub(super) fn initialise() -> Result<()> {
@@ -49,14 +61,19 @@ pub(super) fn initialise() -> Result<()> {
         // SAFETY: as above.
         unsafe { ffi::mju_user_warning = Some(on_warning) };
     });
-    // SAFETY: reads a constant of the library.
-    let got = unsafe { ffi::mj_version() };
+    let got = library_version();
     let expected = ffi::mjVERSION_HEADER as i32;
     if got == expected {
         Ok(())
     } else {
         Err(MujocoError::Version { expected, got })
     }
+}
+
+/// Version of the library loaded at run time, 222 for 2.2.2.
+pub fn library_version() -> i32 {
+    // SAFETY: takes nothing, reads a constant of the library.
+    unsafe { ffi::mj_version() }
 }
 
 /// Runs `f`, which calls `MuJoCo`, and returns a fatal error as a value.

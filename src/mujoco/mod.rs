@@ -31,6 +31,7 @@ mod swap;
 pub use data::Data;
 pub use edit::ModelEdit;
 pub use error::{MujocoError, Result};
+pub use guard::library_version;
 pub use kinds::{Cone, Integrator, Jacobian, ObjectKind, Solver, SolverOptions};
 pub use model::Model;
 pub use outcome::{Contact, Warnings};

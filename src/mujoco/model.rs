@@ -1,6 +1,6 @@
 //! A compiled model: loading, names, options, copies.
 
-use super::guard::{guarded_once, initialise};
+use super::guard::{guarded_once, initialise, null_error};
 use super::kinds::{Cone, Integrator, Jacobian, ObjectKind, Solver, SolverOptions};
 use super::{ModelEdit, MujocoError, Result, ffi};
 use std::ffi::{CStr, CString, c_char};
@@ -8,6 +8,7 @@ use std::fs;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 use std::ptr::{self, NonNull};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bytes kept of `MuJoCo`'s load message.
@@ -23,6 +24,8 @@ pub struct Model {
     raw: NonNull<ffi::mjModel>,
     /// Equal for copies of one loaded model: same structure without comparing.
     origin: u64,
+    /// What the compiler said about a model it accepted.
+    warning: Option<Arc<str>>,
     /// Arrays that an edit handed out and nobody has checked for NaN since.
     pub(super) unchecked: Vec<&'static str>,
 }
@@ -108,14 +111,16 @@ impl Model {
         // SAFETY: the buffer ends in NUL.
         let message = unsafe { CStr::from_ptr(text.as_ptr()) };
         let message = message.to_string_lossy().trim().replace('\n', "; ");
+        let message = message.strip_prefix("Error: ").unwrap_or(&message);
         let raw = NonNull::new(raw).ok_or_else(|| MujocoError::Load {
             file: file.into(),
-            message,
+            message: message.into(),
         })?;
         let origin = NEXT_ORIGIN.fetch_add(1, Ordering::Relaxed);
         Ok(Self {
             raw,
             origin,
+            warning: (!message.is_empty()).then(|| message.into()),
             unchecked: Vec::new(),
         })
     }
@@ -127,12 +132,11 @@ impl Model {
     pub fn try_clone(&self) -> Result<Self> {
         // SAFETY: a null destination makes MuJoCo allocate; the source is valid.
         let raw = guarded_once(|| unsafe { ffi::mj_copyModel(ptr::null_mut(), self.as_ptr()) })?;
-        let raw = NonNull::new(raw).ok_or_else(|| MujocoError::Fatal {
-            message: "could not copy the model".into(),
-        })?;
+        let raw = NonNull::new(raw).ok_or_else(|| null_error("could not copy the model"))?;
         Ok(Self {
             raw,
             origin: self.origin,
+            warning: self.warning.clone(),
             unchecked: self.unchecked.clone(),
         })
     }
@@ -210,6 +214,11 @@ impl Model {
             count,
             got: id,
         })
+    }
+
+    /// What `MuJoCo`'s compiler said about the model although it accepted it.
+    pub fn load_warning(&self) -> Option<&str> {
+        self.warning.as_deref()
     }
 
     /// Time step in seconds.

@@ -131,7 +131,10 @@ impl Trainer {
         config.validate()?;
         let task = Arc::new(PushTask::new(&model, config.task.clone())?);
         let mut training_model = model.clone();
-        training_model.edit().set_timestep(config.train.timestep_s)?;
+        let mut edit = training_model.edit();
+        edit.set_timestep(config.train.timestep_s)?;
+        edit.set_sensors(false); // observations are read from the state
+        edit.finish()?;
         let randomiser = Randomiser::new(&training_model, &config.rules())?;
         let rollout = RolloutConfig { horizon: config.horizon(), control_hold: config.train.control_hold };
         let sampler =
