@@ -112,6 +112,13 @@ impl<'a> ModelEdit<'a> {
         Ok(())
     }
 
+    /// Switches the computation of sensor values on or off; off, `sensordata` is stale and a step cheaper.
+    pub fn set_sensors(&mut self, on: bool) {
+        let flag = ffi::mjtDisableBit_::mjDSBL_SENSOR as i32;
+        let flags = &mut self.model.raw_mut().opt.disableflags;
+        *flags = if on { *flags & !flag } else { *flags | flag };
+    }
+
     /// Asks [`Data::edit_model`](super::Data::edit_model) to recompute derived constants when the edit ends.
     pub fn recompute_constants(&mut self) {
         self.recompute = true;

@@ -69,6 +69,28 @@ pub struct Warnings {
     pub bad_ctrl: u64,
 }
 
+/// The counts that are not 0, as `bad_qpos 1, contact_full 3`.
+impl std::fmt::Display for Warnings {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let named = [
+            ("inertia", self.inertia),
+            ("contact_full", self.contact_full),
+            ("constraint_full", self.constraint_full),
+            ("vgeom_full", self.vgeom_full),
+            ("bad_qpos", self.bad_qpos),
+            ("bad_qvel", self.bad_qvel),
+            ("bad_qacc", self.bad_qacc),
+            ("bad_ctrl", self.bad_ctrl),
+        ];
+        let raised: Vec<String> = named
+            .iter()
+            .filter(|(_, count)| *count > 0)
+            .map(|(name, count)| format!("{name} {count}"))
+            .collect();
+        f.write_str(&raised.join(", "))
+    }
+}
+
 impl Warnings {
     /// Whether a state or control was not a usable number, so the trajectory is worthless.
     pub fn diverged(&self) -> bool {
