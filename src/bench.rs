@@ -88,7 +88,7 @@ pub fn measure(
     let (mut contacts, mut rows, mut steps) = (0, 0, 0);
     for pass in 0..=PASSES {
         let one = rate(&single, &request, &mut batch, state)?;
-        let replayed = bare_loop(&single, &request, &batch, state)?;
+        let replayed = bare_loop(&single, &request, &batch)?;
         let all = rate(&trainer, &request, &mut batch, state)?;
         progress();
         if pass > 0 {
@@ -141,26 +141,16 @@ fn bare_loop(
     trainer: &Trainer,
     request: &BatchRequest<'_>,
     batch: &[Trajectory],
-    state: &crate::train::Checkpoint,
 ) -> Result<BareLoop, TrainError> {
     let sampler = trainer.sampler();
-    let (n_observation, n_action) = (sampler.task().n_observation(), sampler.task().n_action());
+    let n_action = sampler.task().n_action();
     let hold = sampler.config().control_hold;
-    let sigma: Vec<f64> = state.policy.log_sigma().iter().map(|l| l.exp()).collect();
     let mut result = BareLoop { rate: 0.0, contacts: 0, rows: 0, steps: 0 };
     let mut seconds = 0.0;
     for (index, trajectory) in batch.iter().enumerate() {
-        let mut actions = vec![0.0; trajectory.len() * n_action];
-        let rows = trajectory.observations.chunks_exact(n_observation).zip(trajectory.noise.chunks_exact(n_action));
-        for ((observation, noise), action) in rows.zip(actions.chunks_exact_mut(n_action)) {
-            state.policy.mean(observation, action);
-            for ((a, z), s) in action.iter_mut().zip(noise).zip(&sigma) {
-                *a += s * z;
-            }
-        }
         let mut data: Data = sampler.start(request, index as u64)?;
         let begin = Instant::now();
-        for action in actions.chunks_exact(n_action) {
+        for action in trajectory.actions.chunks_exact(n_action) {
             data.ctrl_mut().copy_from_slice(action);
             for _ in 0..hold {
                 data.step().map_err(crate::rollout::RolloutError::from)?;

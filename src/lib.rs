@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod cli;
 pub mod evaluate;
+pub mod exploration;
 pub mod mujoco;
 pub mod npg;
 pub mod policy;

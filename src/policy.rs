@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! a ~ N(W s + b, diag(exp(2 l)))          l: log standard deviations, independent of the state
-//! score of one sample, with z = (a - W s - b) / exp(l) and φ = (s, 1):
-//!   ∂ log π / ∂ (W b)_ij = z_i φ_j / exp(l_i),      ∂ log π / ∂ l_i = z_i² - 1
 //! ```
+//!
+//! How the noise of neighbouring steps hangs together, and the score, are in [`crate::exploration`].
 //!
 //! | symbol | name | shape |
 //! | --- | --- | --- |
@@ -17,8 +17,6 @@
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-
-use crate::rng::{self, Stream};
 
 /// Version of the JSON layout.
 pub const FORMAT: &str = "phantom-affine-gaussian-1";
@@ -174,43 +172,6 @@ impl AffineGaussian {
             let (weights, bias) = row.split_at(self.n_observation);
             // left to right, as any reader of the file would sum it
             *out = weights.iter().zip(observation).fold(0.0, |sum, (w, s)| sum + w * s) + bias[0];
-        }
-    }
-
-    /// Draw an action; `noise` receives z, the standard normal numbers behind it.
-    pub fn sample(&self, observation: &[f64], rng: &mut Stream, action: &mut [f64], noise: &mut [f64]) {
-        self.mean(observation, action);
-        for ((a, z), l) in action.iter_mut().zip(noise).zip(&self.log_sigma) {
-            *z = rng::normal(rng);
-            *a += l.exp() * *z;
-        }
-    }
-
-    /// log π(a | s).
-    pub fn log_probability(&self, observation: &[f64], action: &[f64]) -> f64 {
-        let mut mean = vec![0.0; self.n_action];
-        self.mean(observation, &mut mean);
-        let half_log_tau = 0.5 * std::f64::consts::TAU.ln();
-        mean.iter()
-            .zip(action)
-            .zip(&self.log_sigma)
-            .map(|((m, a), l)| -0.5 * ((a - m) / l.exp()).powi(2) - l - half_log_tau)
-            .sum()
-    }
-
-    /// ∇θ log π of a sample with noise z, in the order of [`Self::parameters`].
-    pub fn score(&self, observation: &[f64], noise: &[f64], score: &mut [f64]) {
-        let width = self.n_observation + 1;
-        let (weights, log_sigma) = score.split_at_mut(self.weights.len());
-        for ((row, z), l) in weights.chunks_exact_mut(width).zip(noise).zip(&self.log_sigma) {
-            let factor = z / l.exp();
-            for (out, s) in row.iter_mut().zip(observation) {
-                *out = factor * s;
-            }
-            row[self.n_observation] = factor;
-        }
-        for (out, z) in log_sigma.iter_mut().zip(noise) {
-            *out = z * z - 1.0;
         }
     }
 

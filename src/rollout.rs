@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::exploration::Exploration;
 use crate::mujoco::{Data, Model, MujocoError};
 use crate::policy::AffineGaussian;
 use crate::randomise::{RandomiseError, Randomiser};
@@ -70,6 +71,8 @@ pub struct RolloutConfig {
     pub horizon: usize,
     /// physics steps for which one action is held
     pub control_hold: usize,
+    /// correlation of the exploration noise between control steps
+    pub noise_correlation: f64,
 }
 
 /// One rollout. Rows are control steps; `T` of them.
@@ -79,6 +82,8 @@ pub struct Trajectory {
     pub observations: Vec<f64>,
     /// (T × n_action) standard normal numbers behind the actions
     pub noise: Vec<f64>,
+    /// (T × n_action)
+    pub actions: Vec<f64>,
     /// (T)
     pub rewards: Vec<f64>,
     /// (T + 1 × n_value_input) what the value function sees; the last row is the true next state of the truncated
@@ -291,20 +296,21 @@ impl Sampler {
         let visit = rng::uniform(&mut rng, 0.0, horizon as f64) as usize;
 
         trajectory.clear();
-        let mut actions = Vec::with_capacity(horizon * action.len());
+        let mut exploration = Exploration::new(action.len(), self.config.noise_correlation);
         let mut noise = vec![0.0; action.len()];
         task.observe_value(data, value_input);
         trajectory.value_inputs.extend_from_slice(value_input);
         for step in 0..horizon {
             task.observe(data, observation);
             trajectory.observations.extend_from_slice(observation);
-            policy.sample(observation, &mut rng, action, &mut noise);
+            policy.mean(observation, action);
+            exploration.perturb(policy.log_sigma(), &mut rng, action, &mut noise);
             trajectory.noise.extend_from_slice(&noise);
-            actions.extend_from_slice(action);
+            trajectory.actions.extend_from_slice(action);
             hold(data, action, self.config.control_hold)?;
             let reward = task.reward(data);
             if let Some(reason) = breakdown(data, reward) {
-                let actions = std::mem::take(&mut actions);
+                let actions = trajectory.actions.clone();
                 trajectory.diverged = Some(Diverged { reason, step, start, mocap_pos, actions });
                 return Ok(());
             }
@@ -372,6 +378,7 @@ impl Trajectory {
     fn clear(&mut self) {
         self.observations.clear();
         self.noise.clear();
+        self.actions.clear();
         self.rewards.clear();
         self.value_inputs.clear();
         self.distances_m.clear();

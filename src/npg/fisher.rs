@@ -1,16 +1,16 @@
 //! The metric of the natural gradient and its inverse.
 //!
 //! For an affine Gaussian policy with state-independent σ the Fisher matrix is known but for the second moment of
-//! the observations, C = E[φφᵀ], φ = (s, 1):
+//! the score's features, C = E[ψψᵀ], where ψ = φ = (s, 1) for white noise (see [`crate::exploration`]):
 //!
 //! ```text
 //! F = diag(1/σ²) ⊗ C  ⊕  2 I          (weights row by row; log σ)
 //! ```
 //!
-//! so that F⁻¹g needs one Cholesky factor of the size of φ, shared by all actions ([`FisherMode::Exact`]). The paper
+//! so that F⁻¹g needs one Cholesky factor of the size of ψ, shared by all actions ([`FisherMode::Exact`]). The paper
 //! averages outer products of the score instead; [`FisherMode::Empirical`] does that and factors the full matrix.
 //!
-//! Both work in standardised coordinates φ̃ = T φ = ((s - mean) / scale, 1), where C becomes a correlation matrix and a
+//! Both work in standardised coordinates ψ̃ = T ψ = ((s - mean) / scale, 1), where C becomes a correlation matrix and a
 //! damping relative to 1 has a meaning. Constant observations get scale 0, that is no step at all; observations tied
 //! to each other by the linkages (15 joints, 9 degrees of freedom) leave eigenvalues near 0, which the damping holds.
 
@@ -30,7 +30,7 @@ pub enum FisherMode {
 /// A factored metric; maps gradients to natural gradients.
 pub struct Fisher {
     mean: Vec<f64>,          // (n) of the observations
-    inverse_scale: Vec<f64>, // (n)
+    inverse_scale: Vec<f64>, // (n + 1)
     correlation: DMatrix<f64>, // (n + 1 × n + 1) standardised second moment, undamped
     sigma: Vec<f64>,         // (n_action)
     factor: Factor,
@@ -44,7 +44,7 @@ enum Factor {
 impl Fisher {
     /// Factor the exact metric.
     ///
-    /// `second_moment` is E[φφᵀ], bias last. Returns `None` when it is not finite.
+    /// `second_moment` is E[ψψᵀ], bias last. Returns `None` when it is not finite.
     pub fn exact(second_moment: &DMatrix<f64>, log_sigma: &[f64], damping: f64) -> Option<Self> {
         let (mean, inverse_scale, correlation) = standardise(second_moment);
         let n = correlation.nrows();
@@ -59,7 +59,7 @@ impl Fisher {
 
     /// Factor the empirical metric.
     ///
-    /// `outer` is the mean of u uᵀ with u = (z_i φ_j row by row, z_i² - 1): the score in units of σ. Returns `None`
+    /// `outer` is the mean of u uᵀ with u = (z_i ψ_j row by row, z_i² - 1): the score in units of σ. Returns `None`
     /// when it is not finite.
     pub fn empirical(
         outer: &DMatrix<f64>,
@@ -113,11 +113,7 @@ impl Fisher {
             }
         }
         for (row, sigma) in x[..n_weight].chunks_exact_mut(width).zip(&self.sigma) {
-            let bias: f64 = (0..width - 1).map(|j| self.mean[j] * self.inverse_scale[j] * row[j]).sum();
-            for (value, inverse) in row.iter_mut().zip(&self.inverse_scale) {
-                *value *= inverse;
-            }
-            row[width - 1] -= bias;
+            from_standard(&self.mean, &self.inverse_scale, row);
             row.iter_mut().for_each(|value| *value *= sigma);
         }
         x
@@ -143,29 +139,43 @@ impl Fisher {
     }
 }
 
-/// h ↦ T h for h = E[A z φ]: centred and scaled, bias unchanged.
+/// h ↦ T h for h = E[A z ψ]: freed of its part along the last feature and scaled; the last feature scaled alone.
 fn to_standard(mean: &[f64], inverse_scale: &[f64], row: &mut [f64]) {
-    let bias = row[row.len() - 1];
-    for ((value, mean), inverse) in row.iter_mut().zip(mean).zip(inverse_scale) {
-        *value = (*value - mean * bias) * inverse;
+    let last = row.len() - 1;
+    for j in 0..last {
+        row[j] = (row[j] - mean[j] * row[last]) * inverse_scale[j];
     }
+    row[last] *= inverse_scale[last];
 }
 
-/// Mean, inverse scale and standardised second moment T C Tᵀ.
+/// x ↦ Tᵀ x, from standardised weights to weights.
+fn from_standard(mean: &[f64], inverse_scale: &[f64], row: &mut [f64]) {
+    for (value, inverse) in row.iter_mut().zip(inverse_scale) {
+        *value *= inverse;
+    }
+    let last = row.len() - 1;
+    let along: f64 = row[..last].iter().zip(mean).map(|(value, mean)| value * mean).sum();
+    row[last] -= along;
+}
+
+/// `mean` (n), the regression of each feature on the last one (which is 1 for white noise, where this is the mean of
+/// the observation); `inverse_scale` (n + 1), of what is left; and T C Tᵀ.
 fn standardise(second_moment: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     let n = second_moment.nrows() - 1;
-    let mean: Vec<f64> = (0..n).map(|j| second_moment[(n, j)]).collect();
-    let inverse_scale: Vec<f64> = (0..n)
+    let last = second_moment[(n, n)];
+    let mean: Vec<f64> = (0..n).map(|j| second_moment[(n, j)] / last).collect();
+    let mut inverse_scale: Vec<f64> = (0..n)
         .map(|j| {
-            let variance = second_moment[(j, j)] - mean[j] * mean[j];
+            let variance = second_moment[(j, j)] - mean[j] * mean[j] * last;
             // below the rounding of the sums the observation is a constant
-            if variance > 1e-12 * (1.0 + mean[j] * mean[j]) { variance.sqrt().recip() } else { 0.0 }
+            if variance > 1e-12 * (1.0 + mean[j] * mean[j]) * last { variance.sqrt().recip() } else { 0.0 }
         })
         .collect();
+    inverse_scale.push(last.sqrt().recip());
     let mut correlation = DMatrix::zeros(n + 1, n + 1);
     for i in 0..n {
         for j in 0..=i {
-            let covariance = second_moment[(i, j)] - mean[i] * mean[j];
+            let covariance = second_moment[(i, j)] - mean[i] * mean[j] * last;
             correlation[(i, j)] = covariance * inverse_scale[i] * inverse_scale[j];
             correlation[(j, i)] = correlation[(i, j)];
         }

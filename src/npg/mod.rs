@@ -25,6 +25,7 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::exploration::score_features;
 use crate::policy::AffineGaussian;
 use crate::rollout::Trajectory;
 use crate::task::ObservationGroup;
@@ -64,6 +65,8 @@ pub struct NpgConfig {
     pub value_ridge: f64,
     /// every how many-th sample the value function is fitted to
     pub value_stride: usize,
+    /// ρ, correlation of the exploration noise between control steps; 0: white noise, as in the paper
+    pub noise_correlation: f64,
     /// log σ of the initial policy, log N m
     pub initial_log_sigma: f64,
     /// log σ is held at or above this, log N m
@@ -82,6 +85,7 @@ impl Default for NpgConfig {
             value_from: ValueFrom::Crossed,
             value_ridge: 1e-4,
             value_stride: 4,
+            noise_correlation: 0.5,
             initial_log_sigma: -1.6,
             log_sigma_floor: -2.2,
         }
@@ -109,6 +113,8 @@ impl NpgConfig {
         ] {
             setting(key, value, positive(value), "a positive number")?;
         }
+        let rho = self.noise_correlation;
+        setting("npg.noise_correlation", rho, (0.0..1.0).contains(&rho), "at least 0 and below 1")?;
         setting("npg.value_stride", self.value_stride as f64, self.value_stride > 0, "at least 1")?;
         for (key, value) in
             [("npg.initial_log_sigma", self.initial_log_sigma), ("npg.log_sigma_floor", self.log_sigma_floor)]
@@ -206,7 +212,7 @@ pub fn update(
     let n_weight = policy.weights().len();
     let samples: Vec<(&Trajectory, &[f64])> =
         usable.iter().copied().zip(advantages.iter().map(Vec::as_slice)).collect();
-    let sums = gram::lanes(&samples, |lane| sum_lane(policy, lane, config.fisher));
+    let sums = gram::lanes(&samples, |lane| sum_lane(policy, lane, config));
     let n_sample: usize = sums.iter().map(|s| s.second.1).sum();
     let scale = 1.0 / n_sample as f64;
     let mut second = DMatrix::zeros(policy.n_observation() + 1, policy.n_observation() + 1);
@@ -351,36 +357,36 @@ fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
 fn sum_lane(
     policy: &AffineGaussian,
     lane: &mut dyn Iterator<Item = &(&Trajectory, &[f64])>,
-    mode: FisherMode,
+    config: &NpgConfig,
 ) -> Sums {
     let (n, n_action) = (policy.n_observation(), policy.n_action());
     let width = n + 1;
     let n_weight = width * n_action;
     let mut gradient = vec![0.0; policy.n_parameter()];
     let mut second = Gram::new(width);
-    let mut outer = (mode == FisherMode::Empirical).then(|| Gram::new(policy.n_parameter()));
+    let mut outer = (config.fisher == FisherMode::Empirical).then(|| Gram::new(policy.n_parameter()));
+    let mut features = Vec::with_capacity(width); // ψ
     for (trajectory, advantages) in lane {
-        let rows = trajectory.observations.chunks_exact(n).zip(trajectory.noise.chunks_exact(n_action));
-        for ((observation, noise), advantage) in rows.zip(*advantages) {
+        let observations: Vec<&[f64]> = trajectory.observations.chunks_exact(n).collect();
+        let noise = trajectory.noise.chunks_exact(n_action);
+        for (t, (noise, advantage)) in noise.zip(*advantages).enumerate() {
+            features.clear();
+            let previous = t.checked_sub(1).map(|p| observations[p]);
+            score_features(observations[t], previous, config.noise_correlation, &mut features);
             for (row, z) in gradient[..n_weight].chunks_exact_mut(width).zip(noise) {
                 let factor = advantage * z;
-                for (sum, s) in row.iter_mut().zip(observation) {
-                    *sum += factor * s;
+                for (sum, feature) in row.iter_mut().zip(&features) {
+                    *sum += factor * feature;
                 }
-                row[n] += factor;
             }
             for (sum, z) in gradient[n_weight..].iter_mut().zip(noise) {
                 *sum += advantage * (z * z - 1.0);
             }
-            second.push(|panel| {
-                panel.extend_from_slice(observation);
-                panel.push(1.0);
-            });
+            second.push(|panel| panel.extend_from_slice(&features));
             if let Some(outer) = &mut outer {
                 outer.push(|panel| {
                     for z in noise {
-                        panel.extend(observation.iter().map(|s| z * s));
-                        panel.push(*z);
+                        panel.extend(features.iter().map(|feature| z * feature));
                     }
                     panel.extend(noise.iter().map(|z| z * z - 1.0));
                 });
@@ -415,7 +421,8 @@ fn step(
     }
 }
 
-/// KL(old ‖ new) averaged over observations with second moment `second`.
+/// KL(old ‖ new) of one action given the past, averaged over samples; `second` is the second moment E[ψψᵀ] of the
+/// score's features.
 pub fn kl_divergence(old: &AffineGaussian, new: &AffineGaussian, second: &DMatrix<f64>) -> f64 {
     let width = second.nrows();
     let rows = old.weights().chunks_exact(width).zip(new.weights().chunks_exact(width));

@@ -136,7 +136,11 @@ impl Trainer {
         edit.set_sensors(false); // observations are read from the state
         edit.finish()?;
         let randomiser = Randomiser::new(&training_model, &config.rules())?;
-        let rollout = RolloutConfig { horizon: config.horizon(), control_hold: config.train.control_hold };
+        let rollout = RolloutConfig {
+            horizon: config.horizon(),
+            control_hold: config.train.control_hold,
+            noise_correlation: config.npg.noise_correlation,
+        };
         let sampler =
             Sampler::new(&training_model, Arc::clone(&task) as Arc<dyn Task>, randomiser, rollout, threads)?;
         // the true mass, whatever mass is trained with; the bases are as uncertain as in training
