@@ -1,0 +1,249 @@
+//! The built program: exit codes, messages, files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+const SMALL: &str = "[train]\niterations = 2\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
+
+fn model() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("xml/phantom.xml")
+}
+
+/// Runs the program in `folder`.
+fn phantom(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_phantom"))
+        .current_dir(folder)
+        .env("PHANTOM_ROOT", env!("CARGO_MANIFEST_DIR"))
+        .args(args)
+        .output()
+        .expect("the program starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs it, expects exit code 2 and one sentence on standard error that contains all of `parts`.
+fn refuses(folder: &Path, args: &[&str], parts: &[&str]) {
+    let output = phantom(folder, args);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{args:?}: {message}");
+    assert_eq!(message.trim_end().lines().count(), 1, "{args:?}: {message}");
+    for part in parts {
+        assert!(message.contains(part), "{args:?}: `{part}` is not in: {message}");
+    }
+}
+
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a temporary folder")
+}
+
+fn write(folder: &Path, name: &str, content: &str) {
+    fs::write(folder.join(name), content).expect("writable");
+}
+
+/// A finished small run in `run`.
+fn small_run(folder: &Path) {
+    write(folder, "small.toml", SMALL);
+    let output = phantom(folder, &["train", "--config", "small.toml", "--out", "run"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+}
+
+#[test]
+fn a_run_leaves_everything_needed() {
+    let folder = folder();
+    small_run(folder.path());
+    let run = folder.path().join("run");
+    for name in ["config.toml", "model.xml", "provenance.json", "metrics.csv", "checkpoint.json", "policy_last.json"] {
+        assert!(run.join(name).is_file(), "{name}");
+    }
+    assert!(run.join("tensorboard").read_dir().expect("a folder").next().is_some());
+    let metrics = fs::read_to_string(run.join("metrics.csv")).expect("readable");
+    assert_eq!(metrics.lines().count(), 3, "a header and two rows");
+    // the resolved configuration is a configuration: the same run again, to the same bits
+    let config = run.join("config.toml");
+    let output =
+        phantom(folder.path(), &["train", "--config", config.to_str().expect("UTF-8"), "--out", "again"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let policy = |name: &str| fs::read(folder.path().join(name).join("policy_last.json")).expect("readable");
+    assert_eq!(policy("run"), policy("again"));
+}
+
+#[test]
+fn resume_after_a_kill_gives_the_same_bits() {
+    let folder = folder();
+    let path = folder.path();
+    write(path, "a.toml", &SMALL.replace("iterations = 2", "iterations = 20"));
+    write(path, "b.toml", &SMALL.replace("iterations = 2", "iterations = 10"));
+    assert!(phantom(path, &["train", "--config", "a.toml", "--out", "whole"]).status.success());
+    assert!(phantom(path, &["train", "--config", "b.toml", "--out", "parts"]).status.success());
+    // what a kill in the middle of an iteration leaves: rows and temporary files that no checkpoint vouches for
+    let metrics = path.join("parts/metrics.csv");
+    let mut rows = fs::read_to_string(&metrics).expect("readable");
+    let torn = rows.lines().last().expect("a row").replacen("10,", "11,", 1);
+    rows.push_str(&torn[..torn.len() / 2]);
+    fs::write(&metrics, rows).expect("writable");
+    let output = phantom(path, &["train", "--resume", "parts", "--iterations", "20", "--threads", "1"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let read = |name: &str| fs::read_to_string(path.join(name)).expect("readable");
+    assert_eq!(read("whole/policy_last.json"), read("parts/policy_last.json"));
+    let iterations = |name: &str| -> Vec<String> {
+        read(name).lines().map(|line| line.split(',').next().unwrap_or_default().to_owned()).collect()
+    };
+    assert_eq!(iterations("whole/metrics.csv"), iterations("parts/metrics.csv"));
+}
+
+#[test]
+fn ctrl_c_saves_and_says_how_to_go_on() {
+    let folder = folder();
+    write(folder.path(), "long.toml", &SMALL.replace("iterations = 2", "iterations = 100000"));
+    let child = Command::new(env!("CARGO_BIN_EXE_phantom"))
+        .current_dir(folder.path())
+        .args(["train", "--config", "long.toml", "--out", "run", "--model"])
+        .arg(model())
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let checkpoint = folder.path().join("run/checkpoint.json");
+    for _ in 0..600 {
+        if checkpoint.exists() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+    assert!(kill.success());
+    let output = child.wait_with_output().expect("it ends");
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("phantom train --resume run"), "{}", text(&output.stdout));
+    let resumed = phantom(folder.path(), &["train", "--resume", "run", "--iterations", "1"]);
+    assert!(resumed.status.success(), "nothing is left to do, which is no error");
+}
+
+#[test]
+fn eval_prints_and_writes_the_distance() {
+    let folder = folder();
+    small_run(folder.path());
+    let args = ["eval", "--policy", "run/policy_last.json", "--rollouts", "2", "--json", "out.json"];
+    let output = phantom(folder.path(), &args);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let json = fs::read_to_string(folder.path().join("out.json")).expect("written");
+    let value: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+    let mean = value["mean_distance_cm"].as_f64().expect("a number");
+    assert_eq!(value["rollouts"].as_array().map(Vec::len), Some(2));
+    assert!(text(&output.stdout).contains(&format!("{mean:.2} cm")));
+    // the figure is the mean of what the table of steps says
+    let steps = fs::read_to_string(folder.path().join("run/policy_last.spiral.csv")).expect("written");
+    let distances: Vec<f64> = steps
+        .lines()
+        .skip(1)
+        .map(|line| line.rsplit(',').next().and_then(|cell| cell.parse().ok()).expect("a number"))
+        .collect();
+    assert_eq!(distances.len(), 2 * 8000, "4 s at 2 kHz, twice");
+    let expected = distances.iter().sum::<f64>() / distances.len() as f64;
+    assert!((mean - expected).abs() < 1e-9);
+}
+
+#[test]
+fn bad_files_are_named() {
+    let folder = folder();
+    let path = folder.path();
+    small_run(path);
+    write(path, "broken.xml", "<mujoco><worldbody></mujoco>");
+    write(path, "other.xml", "<mujoco><worldbody/></mujoco>");
+    write(path, "unknown.toml", "[train]\ntrajectoris = 3\n");
+    write(path, "negative.toml", "[train]\ntimestep_s = -0.001\n");
+    write(path, "typo.toml", "[train\n");
+    write(path, "rule.toml", "[[randomise]]\nelement = \"body/nobody\"\nattribute = \"mass\"\ndistribution = { normal = 0.1 }\n");
+    let policy = fs::read_to_string(path.join("run/policy_last.json")).expect("readable");
+    write(path, "size.json", &policy.replace("\"n_observation\": 36", "\"n_observation\": 35"));
+    write(path, "format.json", &policy.replace("phantom-affine-gaussian-1", "something else"));
+    write(path, "cut.json", &policy[..policy.len() / 2]);
+    refuses(path, &["train", "--model", "missing.xml"], &["missing.xml"]);
+    refuses(path, &["train", "--model", "broken.xml"], &["broken.xml", "XML"]);
+    refuses(path, &["train", "--model", "other.xml"], &["p0_turret"]);
+    refuses(path, &["train", "--config", "missing.toml"], &["missing.toml", "No such file"]);
+    refuses(path, &["train", "--config", "unknown.toml"], &["unknown.toml:2", "trajectoris"]);
+    refuses(path, &["train", "--config", "negative.toml"], &["negative.toml", "train.timestep_s", "-0.001"]);
+    refuses(path, &["train", "--config", "typo.toml"], &["typo.toml:1"]);
+    refuses(path, &["train", "--config", "rule.toml"], &["body/nobody", "nobody"]);
+    refuses(path, &["train", "--out", "/proc/phantom"], &["/proc/phantom"]);
+    refuses(path, &["train", "--out", "run"], &["run"]);
+    refuses(path, &["train", "--resume", "nowhere"], &["nowhere"]);
+    refuses(path, &["eval", "--policy", "missing.json"], &["missing.json"]);
+    refuses(path, &["eval", "--policy", "size.json"], &["size.json", "35"]);
+    refuses(path, &["eval", "--policy", "format.json"], &["format.json", "something else"]);
+    refuses(path, &["eval", "--policy", "cut.json"], &["cut.json"]);
+    refuses(path, &["eval", "--policy", "run/policy_last.json", "--json", "/proc/out.json"], &["/proc/out.json"]);
+    refuses(path, &["replay", "missing.json"], &["missing.json"]);
+    refuses(path, &["replay", "cut.json"], &["cut.json"]);
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused_and_left_alone() {
+    let folder = folder();
+    let path = folder.path();
+    small_run(path);
+    let file = path.join("run/checkpoint.json");
+    let good = fs::read_to_string(&file).expect("readable");
+    let metrics = fs::read_to_string(path.join("run/metrics.csv")).expect("readable");
+    for (what, damaged) in [
+        ("cut short", good[..good.len() / 3].to_owned()),
+        ("null for NaN", good.replacen("\"weights\": [\n", "\"weights\": [\n null,", 1)),
+        ("too large", good.replacen("\"log_sigma\": [\n", "\"log_sigma\": [\n 1e999,", 1)),
+        ("wrong length", good.replacen("\"weights\": [\n", "\"weights\": [\n 0.5,", 1)),
+        ("empty", String::new()),
+    ] {
+        fs::write(&file, &damaged).expect("writable");
+        let output = phantom(path, &["train", "--resume", "run", "--iterations", "5"]);
+        let message = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{what}: {message}");
+        assert!(message.contains("checkpoint.json"), "{what}: {message}");
+        assert_eq!(fs::read_to_string(&file).expect("readable"), damaged, "{what}: the file was touched");
+        assert_eq!(fs::read_to_string(path.join("run/metrics.csv")).expect("readable"), metrics, "{what}");
+    }
+}
+
+#[test]
+fn a_changed_model_is_not_resumed() {
+    let folder = folder();
+    let path = folder.path();
+    small_run(path);
+    let edited = fs::read_to_string(model()).expect("readable").replace("0.34", "0.35");
+    write(path, "edited.xml", &edited);
+    refuses(
+        path,
+        &["train", "--resume", "run", "--model", "edited.xml", "--iterations", "5"],
+        &["edited.xml", "changed"],
+    );
+}
+
+#[test]
+fn numbers_out_of_range_are_usage_errors() {
+    let folder = folder();
+    for args in [
+        ["train", "--iterations", "0"],
+        ["train", "--threads", "0"],
+        ["train", "--seed=-1", "--threads=1"],
+        ["train", "--mass", "-0.3"],
+        ["train", "--mass", "nan"],
+        ["eval", "--rollouts", "0"],
+        ["eval", "--base-sigma", "-1"],
+        ["bench", "--threads", "x"],
+    ] {
+        let output = phantom(folder.path(), &args);
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        assert!(text(&output.stderr).contains(args[1].split('=').next().unwrap_or_default()), "{args:?}");
+    }
+}
+
+#[test]
+fn every_help_has_examples() {
+    for command in ["train", "eval", "bench", "replay"] {
+        let output = phantom(Path::new("."), &[command, "--help"]);
+        assert!(output.status.success());
+        assert!(text(&output.stdout).contains("Examples:"), "{command}");
+    }
+}
