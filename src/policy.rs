@@ -165,6 +165,13 @@ impl AffineGaussian {
         }
     }
 
+    /// Hold every log standard deviation at or below `ceiling`.
+    pub fn lower_log_sigma(&mut self, ceiling: f64) {
+        for value in &mut self.log_sigma {
+            *value = value.min(ceiling);
+        }
+    }
+
     /// The mean action W s + b.
     pub fn mean(&self, observation: &[f64], action: &mut [f64]) {
         debug_assert_eq!(observation.len(), self.n_observation);

@@ -53,6 +53,12 @@ pub struct NpgConfig {
     pub gae_lambda: f64,
     /// δ, twice the KL divergence of a step
     pub step_size_delta: f64,
+    /// δ at the end of the annealing, approached geometrically
+    pub final_step_size_delta: f64,
+    /// ceiling of log σ at the end of the annealing, approached linearly from `initial_log_sigma`, log N m
+    pub final_log_sigma: f64,
+    /// iterations over which δ and the ceiling of log σ go to their final values; 0: they stay
+    pub anneal_iterations: u64,
     /// `exact` or `empirical`
     pub fisher: FisherMode,
     /// damping of the standardised Fisher matrix, relative to its diagonal
@@ -79,6 +85,9 @@ impl Default for NpgConfig {
             discount: 0.98,
             gae_lambda: 0.95,
             step_size_delta: 0.05,
+            final_step_size_delta: 0.02,
+            final_log_sigma: -2.5,
+            anneal_iterations: 100,
             fisher: FisherMode::Exact,
             fisher_damping: 1e-4,
             advantage_clip: 5.0,
@@ -93,6 +102,16 @@ impl Default for NpgConfig {
 }
 
 impl NpgConfig {
+    /// δ and the ceiling of log σ of an iteration, counted from 0.
+    pub fn annealed(&self, iteration: u64) -> (f64, f64) {
+        if self.anneal_iterations == 0 {
+            return (self.step_size_delta, f64::INFINITY);
+        }
+        let share = (iteration as f64 / self.anneal_iterations as f64).min(1.0);
+        let delta = self.step_size_delta * (self.final_step_size_delta / self.step_size_delta).powf(share);
+        (delta, self.initial_log_sigma + share * (self.final_log_sigma - self.initial_log_sigma))
+    }
+
     /// Check all ranges; returns key, value and expectation of the first that is wrong.
     ///
     /// # Errors
@@ -107,6 +126,7 @@ impl NpgConfig {
         setting("npg.gae_lambda", self.gae_lambda, unit(self.gae_lambda), "0 to 1")?;
         for (key, value) in [
             ("npg.step_size_delta", self.step_size_delta),
+            ("npg.final_step_size_delta", self.final_step_size_delta),
             ("npg.fisher_damping", self.fisher_damping),
             ("npg.advantage_clip", self.advantage_clip),
             ("npg.value_ridge", self.value_ridge),

@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::evaluate::{self, Evaluation, EvaluationRequest};
 use crate::mujoco::{Model, MujocoError};
 use crate::npg::baseline::Baseline;
-use crate::npg::{self, NpgError, UpdateReport};
+use crate::npg::{self, NpgConfig, NpgError, UpdateReport};
 use crate::policy::{AffineGaussian, PolicyError};
 use crate::randomise::{RandomiseError, Randomiser};
 use crate::rollout::{BatchRequest, Diverged, RolloutConfig, RolloutError, Sampler, Start, Trajectory};
@@ -217,6 +217,11 @@ impl Trainer {
         let begin = Instant::now();
         let train = &self.config.train;
 
+        // this iteration's step length and exploration
+        let (delta, ceiling) = self.config.npg.annealed(self.state.iteration);
+        self.state.policy.lower_log_sigma(ceiling.max(self.config.npg.log_sigma_floor));
+        let npg_config = NpgConfig { step_size_delta: delta, ..self.config.npg.clone() };
+
         // trajectories of the current policy
         let request = BatchRequest {
             seed: train.seed,
@@ -235,7 +240,7 @@ impl Trainer {
         let update = self
             .sampler
             .threads()
-            .install(|| npg::update(policy, baseline, &self.batch, horizon, &self.groups, &self.config.npg));
+            .install(|| npg::update(policy, baseline, &self.batch, horizon, &self.groups, &npg_config));
         let update = match update {
             Err(error @ NpgError::NoTrajectory { .. }) => return Err(error.into()),
             other => other.map_err(|error| error.to_string()),
