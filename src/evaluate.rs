@@ -43,7 +43,7 @@ pub struct Step {
 pub struct Rollout {
     /// mean over its steps, cm
     pub mean_distance_cm: f64,
-    /// mean of ‖torque‖ / sqrt(n_action), N m
+    /// mean of the root-mean-square torque over motors, N m
     pub rms_torque_nm: f64,
     /// set when the simulation broke down; its distance is then that up to the breakdown
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -83,9 +83,16 @@ pub fn evaluate(
     let rollouts = results.into_iter().collect::<Result<Vec<_>, _>>()?;
     let n = rollouts.len().max(1) as f64;
     let mean = rollouts.iter().map(|r| r.mean_distance_cm).sum::<f64>() / n;
-    let variance =
-        rollouts.iter().map(|r| (r.mean_distance_cm - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    Ok(Evaluation { mean_distance_cm: mean, std_cm: variance.sqrt(), rollouts })
+    let variance = rollouts
+        .iter()
+        .map(|r| (r.mean_distance_cm - mean).powi(2))
+        .sum::<f64>()
+        / (n - 1.0).max(1.0);
+    Ok(Evaluation {
+        mean_distance_cm: mean,
+        std_cm: variance.sqrt(),
+        rollouts,
+    })
 }
 
 fn follow(
@@ -99,10 +106,14 @@ fn follow(
     let mut data = Data::new(Arc::clone(model))?;
     randomiser.draw(&mut data, &mut rng::stream(seed, Purpose::Model, 0, index))?;
     data.reset();
-    task.start(&mut data, &mut rng::stream(seed, Purpose::Evaluation, 0, index))?;
+    task.start(
+        &mut data,
+        &mut rng::stream(seed, Purpose::Evaluation, 0, index),
+    )?;
     let timestep = data.model().timestep();
     let n_step = (spiral::DURATION_S / timestep).round() as usize;
-    let (mut observation, mut action) = (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
+    let (mut observation, mut action) =
+        (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
     let mut steps = Vec::with_capacity(n_step);
     let (mut torque, mut diverged) = (0.0, None);
     for k in 0..n_step {

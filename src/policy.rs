@@ -170,15 +170,29 @@ impl AffineGaussian {
     /// The mean action W s + b.
     pub fn mean(&self, observation: &[f64], action: &mut [f64]) {
         debug_assert_eq!(observation.len(), self.n_observation);
-        for (row, out) in self.weights.chunks_exact(self.n_observation + 1).zip(action) {
+        for (row, out) in self
+            .weights
+            .chunks_exact(self.n_observation + 1)
+            .zip(action)
+        {
             let (weights, bias) = row.split_at(self.n_observation);
             // left to right, as any reader of the file would sum it
-            *out = weights.iter().zip(observation).fold(0.0, |sum, (w, s)| sum + w * s) + bias[0];
+            *out = weights
+                .iter()
+                .zip(observation)
+                .fold(0.0, |sum, (w, s)| sum + w * s)
+                + bias[0];
         }
     }
 
     /// Draw an action; `noise` receives z, the standard normal numbers behind it.
-    pub fn sample(&self, observation: &[f64], rng: &mut Stream, action: &mut [f64], noise: &mut [f64]) {
+    pub fn sample(
+        &self,
+        observation: &[f64],
+        rng: &mut Stream,
+        action: &mut [f64],
+        noise: &mut [f64],
+    ) {
         self.mean(observation, action);
         for ((a, z), l) in action.iter_mut().zip(noise).zip(&self.log_sigma) {
             *z = rng::normal(rng);
@@ -202,7 +216,11 @@ impl AffineGaussian {
     pub fn score(&self, observation: &[f64], noise: &[f64], score: &mut [f64]) {
         let width = self.n_observation + 1;
         let (weights, log_sigma) = score.split_at_mut(self.weights.len());
-        for ((row, z), l) in weights.chunks_exact_mut(width).zip(noise).zip(&self.log_sigma) {
+        for ((row, z), l) in weights
+            .chunks_exact_mut(width)
+            .zip(noise)
+            .zip(&self.log_sigma)
+        {
             let factor = z / l.exp();
             for (out, s) in row.iter_mut().zip(observation) {
                 *out = factor * s;
@@ -220,7 +238,9 @@ impl AffineGaussian {
     /// Wrong format, lengths, sizes, or a number that is not finite.
     pub fn check(&self, n_observation: usize, n_action: usize) -> Result<(), PolicyError> {
         if self.format != FORMAT {
-            return Err(PolicyError::Format { found: self.format.clone() });
+            return Err(PolicyError::Format {
+                found: self.format.clone(),
+            });
         }
         if self.n_observation != n_observation || self.n_action != n_action {
             return Err(PolicyError::Size {
@@ -231,11 +251,16 @@ impl AffineGaussian {
             });
         }
         let expected = n_action * (n_observation + 1);
-        for (name, values, expected) in
-            [("weights", &self.weights, expected), ("log_sigma", &self.log_sigma, n_action)]
-        {
+        for (name, values, expected) in [
+            ("weights", &self.weights, expected),
+            ("log_sigma", &self.log_sigma, n_action),
+        ] {
             if values.len() != expected {
-                return Err(PolicyError::Length { name, expected, got: values.len() });
+                return Err(PolicyError::Length {
+                    name,
+                    expected,
+                    got: values.len(),
+                });
             }
             check_finite(name, values)?;
         }
@@ -245,7 +270,11 @@ impl AffineGaussian {
 
 fn check_finite(name: &'static str, values: &[f64]) -> Result<(), PolicyError> {
     match values.iter().position(|v| !v.is_finite()) {
-        Some(index) => Err(PolicyError::NotFinite { name, index, value: values[index] }),
+        Some(index) => Err(PolicyError::NotFinite {
+            name,
+            index,
+            value: values[index],
+        }),
         None => Ok(()),
     }
 }

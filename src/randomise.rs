@@ -67,7 +67,12 @@ pub struct Rule {
 
 impl Rule {
     /// A rule from its parts.
-    pub fn new(element: &str, attribute: &str, components: &[usize], distribution: Distribution) -> Self {
+    pub fn new(
+        element: &str,
+        attribute: &str,
+        components: &[usize],
+        distribution: Distribution,
+    ) -> Self {
         Self {
             element: element.to_owned(),
             attribute: attribute.to_owned(),
@@ -93,7 +98,13 @@ const fn attribute(
     array: &'static str,
     positive: bool,
 ) -> Attribute {
-    Attribute { kind, name, object, array, positive }
+    Attribute {
+        kind,
+        name,
+        object,
+        array,
+        positive,
+    }
 }
 
 /// Every attribute that can be randomised. Joint attributes of `dof_*` arrays apply to all dofs of the joint.
@@ -103,16 +114,34 @@ const ATTRIBUTES: &[Attribute] = &[
     attribute("body", "ipos", ObjectKind::Body, "body_ipos", false),
     attribute("body", "inertia", ObjectKind::Body, "body_inertia", true),
     attribute("joint", "pos", ObjectKind::Joint, "jnt_pos", false),
-    attribute("joint", "stiffness", ObjectKind::Joint, "jnt_stiffness", true),
+    attribute(
+        "joint",
+        "stiffness",
+        ObjectKind::Joint,
+        "jnt_stiffness",
+        true,
+    ),
     attribute("joint", "damping", ObjectKind::Joint, "dof_damping", true),
-    attribute("joint", "frictionloss", ObjectKind::Joint, "dof_frictionloss", true),
+    attribute(
+        "joint",
+        "frictionloss",
+        ObjectKind::Joint,
+        "dof_frictionloss",
+        true,
+    ),
     attribute("joint", "armature", ObjectKind::Joint, "dof_armature", true),
     attribute("geom", "friction", ObjectKind::Geom, "geom_friction", true),
     attribute("geom", "size", ObjectKind::Geom, "geom_size", true),
     attribute("geom", "solref", ObjectKind::Geom, "geom_solref", false),
     attribute("geom", "solimp", ObjectKind::Geom, "geom_solimp", true),
     attribute("site", "pos", ObjectKind::Site, "site_pos", false),
-    attribute("actuator", "gear", ObjectKind::Actuator, "actuator_gear", false),
+    attribute(
+        "actuator",
+        "gear",
+        ObjectKind::Actuator,
+        "actuator_gear",
+        false,
+    ),
 ];
 
 /// One number of `mjModel` and its nominal value.
@@ -140,12 +169,18 @@ impl Target {
         let nominal = self.slot.nominal;
         let value = match self.distribution {
             Distribution::Normal(sigma) => nominal + sigma * rng::normal(rng),
-            Distribution::Uniform(half_width) => nominal + rng::uniform(rng, -half_width, half_width),
+            Distribution::Uniform(half_width) => {
+                nominal + rng::uniform(rng, -half_width, half_width)
+            }
             Distribution::LogNormal(sigma) => nominal * (sigma * rng::normal(rng)).exp(),
             Distribution::Fixed(value) => value,
         };
         // a far draw of a wide distribution must not make a body of negative mass: keep a hundredth
-        if self.positive { value.max(0.01 * nominal) } else { value }
+        if self.positive {
+            value.max(0.01 * nominal)
+        } else {
+            value
+        }
     }
 }
 
@@ -212,30 +247,54 @@ fn resolve(model: &Model, rule: &Rule, targets: &mut Vec<Target>) -> Result<(), 
     | Distribution::Fixed(spread)) = rule.distribution;
     let fixed = matches!(rule.distribution, Distribution::Fixed(_));
     if !spread.is_finite() || (spread < 0.0 && !fixed) {
-        return Err(format!("distribution has {spread}, expected a finite number of at least 0"));
+        return Err(format!(
+            "distribution has {spread}, expected a finite number of at least 0"
+        ));
     }
-    let (kind, glob) = rule.element.split_once('/').ok_or("element is not of the form `kind/name`")?;
-    let attribute = ATTRIBUTES.iter().find(|a| a.kind == kind && a.name == rule.attribute).ok_or_else(|| {
-        let known: Vec<_> = ATTRIBUTES.iter().map(|a| format!("{} {}", a.kind, a.name)).collect();
-        format!("unknown attribute, known are: {}", known.join(", "))
-    })?;
+    let (kind, glob) = rule
+        .element
+        .split_once('/')
+        .ok_or("element is not of the form `kind/name`")?;
+    let attribute = ATTRIBUTES
+        .iter()
+        .find(|a| a.kind == kind && a.name == rule.attribute)
+        .ok_or_else(|| {
+            let known: Vec<_> = ATTRIBUTES
+                .iter()
+                .map(|a| format!("{} {}", a.kind, a.name))
+                .collect();
+            format!("unknown attribute, known are: {}", known.join(", "))
+        })?;
     let (_, (_, width)) = model
         .numeric_field_shaped(attribute.array)
         .ok_or_else(|| format!("the model has no array `{}`", attribute.array))?;
     let slot = |array: &'static str, index: usize| -> Slot {
         let nominal = model.numeric_field(array).map_or(0.0, |a| a[index]);
-        Slot { array, index, nominal }
+        Slot {
+            array,
+            index,
+            nominal,
+        }
     };
     let n_before = targets.len();
     for id in 0..model.count(attribute.object) {
-        if !model.name(attribute.object, id).is_some_and(|name| glob_matches(glob, name)) {
+        if !model
+            .name(attribute.object, id)
+            .is_some_and(|name| glob_matches(glob, name))
+        {
             continue;
         }
         for row in array_rows(model, attribute, id) {
             let all: Vec<usize> = (0..width).collect();
-            for &component in if rule.components.is_empty() { &all } else { &rule.components } {
+            for &component in if rule.components.is_empty() {
+                &all
+            } else {
+                &rule.components
+            } {
                 if component >= width {
-                    return Err(format!("component {component} does not exist, the attribute has {width}"));
+                    return Err(format!(
+                        "component {component} does not exist, the attribute has {width}"
+                    ));
                 }
                 let followers = if attribute.array == "body_mass" {
                     (0..3).map(|i| slot("body_inertia", 3 * id + i)).collect()
@@ -246,7 +305,12 @@ fn resolve(model: &Model, rule: &Rule, targets: &mut Vec<Target>) -> Result<(), 
                 if !followers.is_empty() && slot.nominal <= 0.0 {
                     return Err(format!("body {id} has no mass to draw around"));
                 }
-                targets.push(Target { slot, positive: attribute.positive, distribution: rule.distribution, followers });
+                targets.push(Target {
+                    slot,
+                    positive: attribute.positive,
+                    distribution: rule.distribution,
+                    followers,
+                });
             }
         }
     }
@@ -262,7 +326,10 @@ fn array_rows(model: &Model, attribute: &Attribute, id: usize) -> std::ops::Rang
         return id..id + 1;
     }
     let first = model.jnt_dofadr()[id] as usize;
-    let next = model.jnt_dofadr().get(id + 1).map_or(model.nv(), |&adr| adr as usize);
+    let next = model
+        .jnt_dofadr()
+        .get(id + 1)
+        .map_or(model.nv(), |&adr| adr as usize);
     first..next
 }
 
@@ -272,11 +339,16 @@ fn glob_matches(glob: &str, name: &str) -> bool {
         None => name.is_empty(),
         Some('*') => {
             let rest = &glob[1..];
-            name.char_indices().map(|(i, _)| i).chain([name.len()]).any(|i| glob_matches(rest, &name[i..]))
+            name.char_indices()
+                .map(|(i, _)| i)
+                .chain([name.len()])
+                .any(|i| glob_matches(rest, &name[i..]))
         }
         Some(first) => {
             let mut characters = name.chars();
-            characters.next().is_some_and(|c| first == '?' || first == c)
+            characters
+                .next()
+                .is_some_and(|c| first == '?' || first == c)
                 && glob_matches(&glob[first.len_utf8()..], characters.as_str())
         }
     }

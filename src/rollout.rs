@@ -75,13 +75,13 @@ pub struct RolloutConfig {
 /// One rollout. Rows are control steps; `T` of them.
 #[derive(Debug, Clone, Default)]
 pub struct Trajectory {
-    /// (T × n_observation)
+    /// (T × `n_observation`)
     pub observations: Vec<f64>,
-    /// (T × n_action) standard normal numbers behind the actions
+    /// (T × `n_action`) standard normal numbers behind the actions
     pub noise: Vec<f64>,
     /// (T)
     pub rewards: Vec<f64>,
-    /// (n_observation) after the last step: the true next state of the truncated trajectory
+    /// (`n_observation`) after the last step: the true next state of the truncated trajectory
     pub final_observation: Vec<f64>,
     /// (T) task error after each step, m
     pub distances_m: Vec<f64>,
@@ -102,7 +102,7 @@ pub struct Diverged {
     pub start: Start,
     /// (nmocap × 3)
     pub mocap_pos: Vec<f64>,
-    /// (steps × n_action) actions up to and including the fatal one
+    /// (steps × `n_action`) actions up to and including the fatal one
     pub actions: Vec<f64>,
 }
 
@@ -169,15 +169,29 @@ impl Sampler {
             .num_threads(threads)
             .thread_name(|i| format!("rollout-{i}"))
             .build()
-            .map_err(|e| RolloutError::Threads { threads, reason: e.to_string() })?;
+            .map_err(|e| RolloutError::Threads {
+                threads,
+                reason: e.to_string(),
+            })?;
         let workers = (0..threads)
             .map(|_| {
                 let data = Data::new(Arc::new(model.clone()))?;
-                let (observation, action) = (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
-                Ok(Mutex::new(Worker { data, observation, action }))
+                let (observation, action) =
+                    (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
+                Ok(Mutex::new(Worker {
+                    data,
+                    observation,
+                    action,
+                }))
             })
             .collect::<Result<_, RolloutError>>()?;
-        Ok(Self { pool, workers, task, randomiser, config })
+        Ok(Self {
+            pool,
+            workers,
+            task,
+            randomiser,
+            config,
+        })
     }
 
     /// The task.
@@ -214,8 +228,9 @@ impl Sampler {
                 .map(|(index, trajectory)| {
                     let thread = rayon::current_thread_index().unwrap_or(0);
                     // a worker is only ever used by its own thread; a poisoned lock means that thread panicked before
-                    let mut worker =
-                        self.workers[thread].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                    let mut worker = self.workers[thread]
+                        .lock()
+                        .unwrap_or_else(std::sync::PoisonError::into_inner);
                     self.roll_out(&mut worker, policy, request, index as u64, trajectory)
                 })
                 .collect()
@@ -231,12 +246,19 @@ impl Sampler {
         index: u64,
     ) -> Result<ModelDraw, RolloutError> {
         let mut rng = rng::stream(request.seed, Purpose::Start, request.iteration, index);
-        let continued = !request.pool.is_empty() && rng::uniform(&mut rng, 0.0, 1.0) < request.pool_share;
+        let continued =
+            !request.pool.is_empty() && rng::uniform(&mut rng, 0.0, 1.0) < request.pool_share;
         let start = continued.then(|| {
             let position = rng::uniform(&mut rng, 0.0, request.pool.len() as f64) as usize;
             &request.pool[position.min(request.pool.len() - 1)]
         });
-        let draw = start.map_or(ModelDraw { iteration: request.iteration, index }, |start| start.model);
+        let draw = start.map_or(
+            ModelDraw {
+                iteration: request.iteration,
+                index,
+            },
+            |start| start.model,
+        );
         self.draw_model(data, request.seed, draw)?;
         data.clear_warnings();
         match start {
@@ -265,10 +287,18 @@ impl Sampler {
         index: u64,
         trajectory: &mut Trajectory,
     ) -> Result<(), RolloutError> {
-        let Worker { data, observation, action } = worker;
+        let Worker {
+            data,
+            observation,
+            action,
+        } = worker;
         let (task, horizon) = (self.task.as_ref(), self.config.horizon);
         let model = self.prepare(data, request, index)?;
-        let start = Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() };
+        let start = Start {
+            model,
+            qpos: data.qpos().to_vec(),
+            qvel: data.qvel().to_vec(),
+        };
         let mocap_pos = data.mocap_pos().to_vec();
         let mut rng = rng::stream(request.seed, Purpose::Exploration, request.iteration, index);
         let visit = rng::uniform(&mut rng, 0.0, horizon as f64) as usize;
@@ -286,13 +316,23 @@ impl Sampler {
             let reward = task.reward(data, action);
             if let Some(reason) = breakdown(data, reward) {
                 let actions = std::mem::take(&mut actions);
-                trajectory.diverged = Some(Diverged { reason, step, start, mocap_pos, actions });
+                trajectory.diverged = Some(Diverged {
+                    reason,
+                    step,
+                    start,
+                    mocap_pos,
+                    actions,
+                });
                 return Ok(());
             }
             trajectory.rewards.push(reward);
             trajectory.distances_m.push(task.distance_m(data));
             if step == visit {
-                trajectory.visited = Some(Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() });
+                trajectory.visited = Some(Start {
+                    model,
+                    qpos: data.qpos().to_vec(),
+                    qvel: data.qvel().to_vec(),
+                });
             }
         }
         task.observe(data, observation);
@@ -304,8 +344,14 @@ impl Sampler {
     ///
     /// # Errors
     /// When the dump does not fit the task or the engine fails.
-    pub fn replay(&self, seed: u64, dump: &Diverged) -> Result<Option<(usize, String)>, RolloutError> {
-        let mut worker = self.workers[0].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    pub fn replay(
+        &self,
+        seed: u64,
+        dump: &Diverged,
+    ) -> Result<Option<(usize, String)>, RolloutError> {
+        let mut worker = self.workers[0]
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         let data = &mut worker.data;
         self.draw_model(data, seed, dump.start.model)?;
         data.clear_warnings();

@@ -7,7 +7,13 @@
 //! ```
 
 /// Generalised advantages; `values` has one more entry than `rewards`, the value of the state after the last action.
-pub fn generalised_advantages(rewards: &[f64], values: &[f64], discount: f64, lambda: f64, out: &mut Vec<f64>) {
+pub fn generalised_advantages(
+    rewards: &[f64],
+    values: &[f64],
+    discount: f64,
+    lambda: f64,
+    out: &mut Vec<f64>,
+) {
     debug_assert_eq!(values.len(), rewards.len() + 1);
     out.clear();
     out.resize(rewards.len(), 0.0);
@@ -41,12 +47,15 @@ mod tests {
         (0..horizon)
             .map(|t| {
                 let k_step = |k: usize| {
-                    let sum: f64 = (0..k).map(|i| discount.powi(i as i32) * rewards[t + i]).sum();
+                    let sum: f64 = (0..k)
+                        .map(|i| discount.powi(i as i32) * rewards[t + i])
+                        .sum();
                     sum + discount.powi(k as i32) * values[t + k] - values[t]
                 };
                 let last = horizon - t;
-                let weighted: f64 =
-                    (1..last).map(|k| (1.0 - lambda) * lambda.powi(k as i32 - 1) * k_step(k)).sum();
+                let weighted: f64 = (1..last)
+                    .map(|k| (1.0 - lambda) * lambda.powi(k as i32 - 1) * k_step(k))
+                    .sum();
                 weighted + lambda.powi(last as i32 - 1) * k_step(last)
             })
             .collect()

@@ -42,7 +42,7 @@ pub struct FitReport {
 /// One trajectory as the fit sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Target<'a> {
-    /// (T × n_observation)
+    /// (T × `n_observation`)
     pub observations: &'a [f64],
     /// (T)
     pub returns: &'a [f64],
@@ -62,7 +62,11 @@ pub struct Fit {
 impl Baseline {
     /// A function that is zero everywhere.
     pub fn zero(n_observation: usize) -> Self {
-        Self { mean: vec![0.0; n_observation], inverse_scale: vec![0.0; n_observation], weights: Vec::new() }
+        Self {
+            mean: vec![0.0; n_observation],
+            inverse_scale: vec![0.0; n_observation],
+            weights: Vec::new(),
+        }
     }
 
     fn n_feature(&self) -> usize {
@@ -105,7 +109,11 @@ impl Baseline {
                 continue;
             }
             features.clear();
-            self.features(observation, (first + t) as f64 / horizon as f64, &mut features);
+            self.features(
+                observation,
+                (first + t) as f64 / horizon as f64,
+                &mut features,
+            );
             out.push(dot(&features, &self.weights));
         }
     }
@@ -115,7 +123,9 @@ impl Baseline {
         self.mean.len() == n_observation
             && self.inverse_scale.len() == n_observation
             && (self.weights.is_empty() || self.weights.len() == self.n_feature())
-            && [&self.mean, &self.inverse_scale, &self.weights].iter().all(|v| v.iter().all(|x| x.is_finite()))
+            && [&self.mean, &self.inverse_scale, &self.weights]
+                .iter()
+                .all(|v| v.iter().all(|x| x.is_finite()))
     }
 }
 
@@ -137,16 +147,29 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 ///
 /// Returns `None` when there are fewer samples than features or the system cannot be factored, which happens only with
 /// non-finite input.
-pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride: usize, ridge: f64) -> Option<Fit> {
+pub fn fit(
+    targets: &[Target<'_>],
+    n_observation: usize,
+    horizon: usize,
+    stride: usize,
+    ridge: f64,
+) -> Option<Fit> {
     let shape = standardise(targets, n_observation);
     let n = shape.n_feature();
 
     // per lane: Σ (ψ, y)(ψ, y)ᵀ, the target as one more column
-    let mut halves = [(DMatrix::zeros(n + 1, n + 1), 0), (DMatrix::zeros(n + 1, n + 1), 0)];
+    let mut halves = [
+        (DMatrix::zeros(n + 1, n + 1), 0),
+        (DMatrix::zeros(n + 1, n + 1), 0),
+    ];
     let sums = gram::lanes(targets, |lane| {
         let mut gram = Gram::new(n + 1);
         for target in lane {
-            let rows = target.observations.chunks_exact(n_observation).zip(target.returns).enumerate();
+            let rows = target
+                .observations
+                .chunks_exact(n_observation)
+                .zip(target.returns)
+                .enumerate();
             // the phase moves along with the trajectory so that every time is visited
             for (t, (observation, y)) in rows.step_by(stride) {
                 gram.push(|panel| {
@@ -181,10 +204,23 @@ pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride:
         let shrunk: f64 = weights.iter().skip(1).map(|w| w * w).sum();
         let residual = square - dot(weights.as_slice(), right.as_slice()) / count - ridge * shrunk;
         let variance = square - mean * mean;
-        let explained_variance = if variance > 0.0 { 1.0 - residual / variance } else { 0.0 };
-        let report = FitReport { explained_variance, condition, n_sample: count as usize };
-        let baseline = Baseline { weights: weights.as_slice().to_vec(), ..shape.clone() };
-        baseline.is_sound(n_observation).then_some((baseline, report))
+        let explained_variance = if variance > 0.0 {
+            1.0 - residual / variance
+        } else {
+            0.0
+        };
+        let report = FitReport {
+            explained_variance,
+            condition,
+            n_sample: count as usize,
+        };
+        let baseline = Baseline {
+            weights: weights.as_slice().to_vec(),
+            ..shape.clone()
+        };
+        baseline
+            .is_sound(n_observation)
+            .then_some((baseline, report))
     };
     if n_even.min(n_odd) < n {
         return None;
@@ -192,7 +228,11 @@ pub fn fit(targets: &[Target<'_>], n_observation: usize, horizon: usize, stride:
     let (all, report) = solve(&all, n_even + n_odd)?;
     let (from_even, _) = solve(&even, n_even)?;
     let (from_odd, _) = solve(&odd, n_odd)?;
-    Some(Fit { all, crossed: [from_odd, from_even], report })
+    Some(Fit {
+        all,
+        crossed: [from_odd, from_even],
+        report,
+    })
 }
 
 /// A weightless function that standardises as `targets` ask for.
@@ -224,8 +264,16 @@ fn standardise(targets: &[Target<'_>], n_observation: usize) -> Baseline {
         .map(|(mean, square)| {
             let variance = square / count - mean * mean;
             // below the rounding of the sums the observation is a constant
-            if variance > 1e-12 * (1.0 + mean * mean) { variance.sqrt().recip() } else { 0.0 }
+            if variance > 1e-12 * (1.0 + mean * mean) {
+                variance.sqrt().recip()
+            } else {
+                0.0
+            }
         })
         .collect();
-    Baseline { mean, inverse_scale, weights: Vec::new() }
+    Baseline {
+        mean,
+        inverse_scale,
+        weights: Vec::new(),
+    }
 }

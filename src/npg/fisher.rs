@@ -29,10 +29,10 @@ pub enum FisherMode {
 
 /// A factored metric; maps gradients to natural gradients.
 pub struct Fisher {
-    mean: Vec<f64>,          // (n) of the observations
-    inverse_scale: Vec<f64>, // (n)
+    mean: Vec<f64>,            // (n) of the observations
+    inverse_scale: Vec<f64>,   // (n)
     correlation: DMatrix<f64>, // (n + 1 × n + 1) standardised second moment, undamped
-    sigma: Vec<f64>,         // (n_action)
+    sigma: Vec<f64>,           // (n_action)
     factor: Factor,
 }
 
@@ -54,13 +54,19 @@ impl Fisher {
         }
         let factor = Factor::Exact(Cholesky::new(system)?);
         let sigma = log_sigma.iter().map(|l| l.exp()).collect();
-        Some(Self { mean, inverse_scale, correlation, sigma, factor })
+        Some(Self {
+            mean,
+            inverse_scale,
+            correlation,
+            sigma,
+            factor,
+        })
     }
 
     /// Factor the empirical metric.
     ///
-    /// `outer` is the mean of u uᵀ with u = (z_i φ_j row by row, z_i² - 1): the score in units of σ. Returns `None`
-    /// when it is not finite.
+    /// `outer` is the mean of u uᵀ, where u is the score in units of σ: `z_i φ_j` row by row, then `z_i² - 1`.
+    /// Returns `None` when it is not finite.
     pub fn empirical(
         outer: &DMatrix<f64>,
         second_moment: &DMatrix<f64>,
@@ -75,18 +81,32 @@ impl Fisher {
         for _ in 0..2 {
             for mut column in system.column_iter_mut() {
                 for action in 0..n_action {
-                    to_standard(&mean, &inverse_scale, &mut column.as_mut_slice()[action * width..][..width]);
+                    to_standard(
+                        &mean,
+                        &inverse_scale,
+                        &mut column.as_mut_slice()[action * width..][..width],
+                    );
                 }
             }
             system.transpose_mut();
         }
         // the diagonal of F̃ is 1 for weights and 2 for log σ
         for i in 0..n {
-            system[(i, i)] += if i < n_action * width { damping } else { 2.0 * damping };
+            system[(i, i)] += if i < n_action * width {
+                damping
+            } else {
+                2.0 * damping
+            };
         }
         let factor = Factor::Empirical(Cholesky::new(system)?);
         let sigma = log_sigma.iter().map(|l| l.exp()).collect();
-        Some(Self { mean, inverse_scale, correlation, sigma, factor })
+        Some(Self {
+            mean,
+            inverse_scale,
+            correlation,
+            sigma,
+            factor,
+        })
     }
 
     /// F⁻¹ g.
@@ -96,7 +116,7 @@ impl Fisher {
         let mut x = gradient.to_vec();
         // weights in units of σ, standardised
         for (row, sigma) in x[..n_weight].chunks_exact_mut(width).zip(&self.sigma) {
-            row.iter_mut().for_each(|value| *value *= sigma);
+            scale(row, *sigma);
             to_standard(&self.mean, &self.inverse_scale, row);
         }
         match &self.factor {
@@ -113,12 +133,14 @@ impl Fisher {
             }
         }
         for (row, sigma) in x[..n_weight].chunks_exact_mut(width).zip(&self.sigma) {
-            let bias: f64 = (0..width - 1).map(|j| self.mean[j] * self.inverse_scale[j] * row[j]).sum();
+            let bias: f64 = (0..width - 1)
+                .map(|j| self.mean[j] * self.inverse_scale[j] * row[j])
+                .sum();
             for (value, inverse) in row.iter_mut().zip(&self.inverse_scale) {
                 *value *= inverse;
             }
             row[width - 1] -= bias;
-            row.iter_mut().for_each(|value| *value *= sigma);
+            scale(row, *sigma);
         }
         x
     }
@@ -127,9 +149,16 @@ impl Fisher {
     pub fn inner(&self, x: &[f64], y: &[f64], columns: std::ops::Range<usize>) -> f64 {
         let width = self.correlation.nrows();
         let scaled = |row: &[f64], j: usize| {
-            if self.inverse_scale[j] > 0.0 { row[j] / self.inverse_scale[j] } else { 0.0 }
+            if self.inverse_scale[j] > 0.0 {
+                row[j] / self.inverse_scale[j]
+            } else {
+                0.0
+            }
         };
-        let rows = x.chunks_exact(width).zip(y.chunks_exact(width)).zip(&self.sigma);
+        let rows = x
+            .chunks_exact(width)
+            .zip(y.chunks_exact(width))
+            .zip(&self.sigma);
         rows.map(|((x, y), sigma)| {
             let mut sum = 0.0;
             for i in columns.clone() {
@@ -140,6 +169,12 @@ impl Fisher {
             sum / (sigma * sigma)
         })
         .sum()
+    }
+}
+
+fn scale(row: &mut [f64], factor: f64) {
+    for value in row {
+        *value *= factor;
     }
 }
 
@@ -159,7 +194,11 @@ fn standardise(second_moment: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64
         .map(|j| {
             let variance = second_moment[(j, j)] - mean[j] * mean[j];
             // below the rounding of the sums the observation is a constant
-            if variance > 1e-12 * (1.0 + mean[j] * mean[j]) { variance.sqrt().recip() } else { 0.0 }
+            if variance > 1e-12 * (1.0 + mean[j] * mean[j]) {
+                variance.sqrt().recip()
+            } else {
+                0.0
+            }
         })
         .collect();
     let mut correlation = DMatrix::zeros(n + 1, n + 1);

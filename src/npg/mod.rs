@@ -95,12 +95,25 @@ impl NpgConfig {
     /// [`NpgError::Setting`].
     pub fn validate(&self) -> Result<(), NpgError> {
         let setting = |key, value: f64, ok: bool, expected| {
-            if ok { Ok(()) } else { Err(NpgError::Setting { key, value, expected }) }
+            if ok {
+                Ok(())
+            } else {
+                Err(NpgError::Setting {
+                    key,
+                    value,
+                    expected,
+                })
+            }
         };
         let unit = |x: f64| (0.0..=1.0).contains(&x);
         let positive = |x: f64| x.is_finite() && x > 0.0;
         setting("npg.discount", self.discount, unit(self.discount), "0 to 1")?;
-        setting("npg.gae_lambda", self.gae_lambda, unit(self.gae_lambda), "0 to 1")?;
+        setting(
+            "npg.gae_lambda",
+            self.gae_lambda,
+            unit(self.gae_lambda),
+            "0 to 1",
+        )?;
         for (key, value) in [
             ("npg.step_size_delta", self.step_size_delta),
             ("npg.fisher_damping", self.fisher_damping),
@@ -109,10 +122,16 @@ impl NpgConfig {
         ] {
             setting(key, value, positive(value), "a positive number")?;
         }
-        setting("npg.value_stride", self.value_stride as f64, self.value_stride > 0, "at least 1")?;
-        for (key, value) in
-            [("npg.initial_log_sigma", self.initial_log_sigma), ("npg.log_sigma_floor", self.log_sigma_floor)]
-        {
+        setting(
+            "npg.value_stride",
+            self.value_stride as f64,
+            self.value_stride > 0,
+            "at least 1",
+        )?;
+        for (key, value) in [
+            ("npg.initial_log_sigma", self.initial_log_sigma),
+            ("npg.log_sigma_floor", self.log_sigma_floor),
+        ] {
             setting(key, value, (-20.0..=20.0).contains(&value), "-20 to 20")?;
         }
         Ok(())
@@ -175,7 +194,7 @@ pub struct UpdateReport {
 
 /// Sums over one lane of trajectories.
 struct Sums {
-    gradient: Vec<f64>,     // Σ A u, in units of σ
+    gradient: Vec<f64>,            // Σ A u, in units of σ
     second: (DMatrix<f64>, usize), // Σ φφᵀ
     outer: Option<DMatrix<f64>>,   // Σ u uᵀ
 }
@@ -192,9 +211,14 @@ pub fn update(
     groups: &[ObservationGroup],
     config: &NpgConfig,
 ) -> Result<UpdateReport, NpgError> {
-    let usable: Vec<&Trajectory> = batch.iter().filter(|t| t.diverged.is_none() && !t.is_empty()).collect();
+    let usable: Vec<&Trajectory> = batch
+        .iter()
+        .filter(|t| t.diverged.is_none() && !t.is_empty())
+        .collect();
     if usable.is_empty() {
-        return Err(NpgError::NoTrajectory { n_trajectory: batch.len() });
+        return Err(NpgError::NoTrajectory {
+            n_trajectory: batch.len(),
+        });
     }
 
     // value function and advantages
@@ -204,14 +228,20 @@ pub fn update(
 
     // gradient and metric
     let n_weight = policy.weights().len();
-    let samples: Vec<(&Trajectory, &[f64])> =
-        usable.iter().copied().zip(advantages.iter().map(Vec::as_slice)).collect();
+    let samples: Vec<(&Trajectory, &[f64])> = usable
+        .iter()
+        .copied()
+        .zip(advantages.iter().map(Vec::as_slice))
+        .collect();
     let sums = gram::lanes(&samples, |lane| sum_lane(policy, lane, config.fisher));
     let n_sample: usize = sums.iter().map(|s| s.second.1).sum();
     let scale = 1.0 / n_sample as f64;
     let mut second = DMatrix::zeros(policy.n_observation() + 1, policy.n_observation() + 1);
     let mut outer: Option<DMatrix<f64>> = None;
-    let mut halves = [vec![0.0; policy.n_parameter()], vec![0.0; policy.n_parameter()]];
+    let mut halves = [
+        vec![0.0; policy.n_parameter()],
+        vec![0.0; policy.n_parameter()],
+    ];
     for (lane, sum) in sums.into_iter().enumerate() {
         second += sum.second.0 * scale;
         for (total, value) in halves[lane % 2].iter_mut().zip(&sum.gradient) {
@@ -228,8 +258,13 @@ pub fn update(
     // from units of σ to weights
     let sigma: Vec<f64> = policy.log_sigma().iter().map(|l| l.exp()).collect();
     for half in &mut halves {
-        for (row, sigma) in half[..n_weight].chunks_exact_mut(policy.n_observation() + 1).zip(&sigma) {
-            row.iter_mut().for_each(|value| *value /= sigma);
+        for (row, sigma) in half[..n_weight]
+            .chunks_exact_mut(policy.n_observation() + 1)
+            .zip(&sigma)
+        {
+            for value in row {
+                *value /= sigma;
+            }
         }
     }
     let fisher = match outer {
@@ -243,11 +278,21 @@ pub fn update(
 
     // the step
     let natural = [fisher.solve(&halves[0]), fisher.solve(&halves[1])];
-    let gradient: Vec<f64> = halves[0].iter().zip(&halves[1]).map(|(a, b)| a + b).collect();
-    let direction: Vec<f64> = natural[0].iter().zip(&natural[1]).map(|(a, b)| a + b).collect();
+    let gradient: Vec<f64> = halves[0]
+        .iter()
+        .zip(&halves[1])
+        .map(|(a, b)| a + b)
+        .collect();
+    let direction: Vec<f64> = natural[0]
+        .iter()
+        .zip(&natural[1])
+        .map(|(a, b)| a + b)
+        .collect();
     let gradient_norm2 = dot(&gradient, &direction);
     if !(gradient_norm2.is_finite() && gradient_norm2 > 0.0) {
-        return Err(NpgError::Gradient { value: gradient_norm2 });
+        return Err(NpgError::Gradient {
+            value: gradient_norm2,
+        });
     }
     let cosine = |columns: std::ops::Range<usize>| {
         let inner = |i: usize, j: usize| fisher.inner(&natural[i], &natural[j], columns.clone());
@@ -261,7 +306,10 @@ pub fn update(
         kl_predicted: 0.5 * config.step_size_delta,
         kl_measured,
         half_cosine: cosine(0..policy.n_observation()),
-        group_cosines: groups.iter().map(|g| (g.name, cosine(g.columns.clone()))).collect(),
+        group_cosines: groups
+            .iter()
+            .map(|g| (g.name, cosine(g.columns.clone())))
+            .collect(),
         advantage_sigma,
         clipped_share,
         value_fit: fit.as_ref().map(|f| f.report),
@@ -283,16 +331,30 @@ fn fit_baseline(
     let n_observation = usable[0].final_observation.len();
     let returns = per_trajectory(usable, |trajectory| {
         let (mut last, mut returns) = (Vec::new(), Vec::new());
-        baseline.values(&trajectory.final_observation, trajectory.len(), horizon, &mut last);
+        baseline.values(
+            &trajectory.final_observation,
+            trajectory.len(),
+            horizon,
+            &mut last,
+        );
         advantage::returns(&trajectory.rewards, last[0], config.discount, &mut returns);
         returns
     });
     let targets: Vec<Target<'_>> = usable
         .iter()
         .zip(&returns)
-        .map(|(trajectory, returns)| Target { observations: &trajectory.observations, returns })
+        .map(|(trajectory, returns)| Target {
+            observations: &trajectory.observations,
+            returns,
+        })
         .collect();
-    baseline::fit(&targets, n_observation, horizon, config.value_stride, config.value_ridge)
+    baseline::fit(
+        &targets,
+        n_observation,
+        horizon,
+        config.value_stride,
+        config.value_ridge,
+    )
 }
 
 /// Generalised advantages of every trajectory.
@@ -311,7 +373,12 @@ fn advantages(
         };
         let (mut values, mut advantages) = (Vec::with_capacity(trajectory.len() + 1), Vec::new());
         value.values(&trajectory.observations, 0, horizon, &mut values);
-        value.values(&trajectory.final_observation, trajectory.len(), horizon, &mut values);
+        value.values(
+            &trajectory.final_observation,
+            trajectory.len(),
+            horizon,
+            &mut values,
+        );
         advantage::generalised_advantages(
             &trajectory.rewards,
             &values,
@@ -334,7 +401,12 @@ fn per_trajectory<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync +
 fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
     let count = advantages.iter().map(Vec::len).sum::<usize>() as f64;
     let mean = advantages.iter().flatten().sum::<f64>() / count;
-    let variance = advantages.iter().flatten().map(|a| (a - mean).powi(2)).sum::<f64>() / count;
+    let variance = advantages
+        .iter()
+        .flatten()
+        .map(|a| (a - mean).powi(2))
+        .sum::<f64>()
+        / count;
     let sigma = variance.sqrt();
     let inverse = if sigma > 0.0 { 1.0 / sigma } else { 0.0 };
     let mut clipped = 0_usize;
@@ -360,7 +432,10 @@ fn sum_lane(
     let mut second = Gram::new(width);
     let mut outer = (mode == FisherMode::Empirical).then(|| Gram::new(policy.n_parameter()));
     for (trajectory, advantages) in lane {
-        let rows = trajectory.observations.chunks_exact(n).zip(trajectory.noise.chunks_exact(n_action));
+        let rows = trajectory
+            .observations
+            .chunks_exact(n)
+            .zip(trajectory.noise.chunks_exact(n_action));
         for ((observation, noise), advantage) in rows.zip(*advantages) {
             for (row, z) in gradient[..n_weight].chunks_exact_mut(width).zip(noise) {
                 let factor = advantage * z;
@@ -387,7 +462,11 @@ fn sum_lane(
             }
         }
     }
-    Sums { gradient, second: second.finish(), outer: outer.map(|gram| gram.finish().0) }
+    Sums {
+        gradient,
+        second: second.finish(),
+        outer: outer.map(|gram| gram.finish().0),
+    }
 }
 
 /// The policy one normalised step along `direction`, and KL(old ‖ new). The step is halved while the measured KL is
@@ -403,7 +482,11 @@ fn step(
     let mut length = (config.step_size_delta / gradient_norm2).sqrt();
     loop {
         let mut next = policy.clone();
-        let moved: Vec<f64> = theta.iter().zip(direction).map(|(t, d)| t + length * d).collect();
+        let moved: Vec<f64> = theta
+            .iter()
+            .zip(direction)
+            .map(|(t, d)| t + length * d)
+            .collect();
         if next.set_parameters(&moved).is_ok() {
             next.raise_log_sigma(config.log_sigma_floor);
             let kl = kl_divergence(policy, &next, second);
@@ -418,11 +501,15 @@ fn step(
 /// KL(old ‖ new) averaged over observations with second moment `second`.
 pub fn kl_divergence(old: &AffineGaussian, new: &AffineGaussian, second: &DMatrix<f64>) -> f64 {
     let width = second.nrows();
-    let rows = old.weights().chunks_exact(width).zip(new.weights().chunks_exact(width));
+    let rows = old
+        .weights()
+        .chunks_exact(width)
+        .zip(new.weights().chunks_exact(width));
     let sigmas = old.log_sigma().iter().zip(new.log_sigma());
     rows.zip(sigmas)
         .map(|((a, b), (l, m))| {
-            let change = nalgebra::DVector::from_iterator(width, b.iter().zip(a).map(|(b, a)| b - a));
+            let change =
+                nalgebra::DVector::from_iterator(width, b.iter().zip(a).map(|(b, a)| b - a));
             let shift = change.dot(&(second * &change)); // E[(μ' - μ)²]
             m - l + ((2.0 * l).exp() + shift) / (2.0 * (2.0 * m).exp()) - 0.5
         })
