@@ -23,6 +23,9 @@ use crate::rng::{self, Stream};
 /// Version of the JSON layout.
 pub const FORMAT: &str = "phantom-affine-gaussian-1";
 
+/// Beyond this, exp(l) or the score overflow to something useless; the settings have the same range.
+const MAX_LOG_SIGMA: f64 = 20.0;
+
 /// What can be wrong with a policy.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -48,6 +51,14 @@ pub enum PolicyError {
     NotFinite {
         /// field
         name: &'static str,
+        /// position
+        index: usize,
+        /// value
+        value: f64,
+    },
+    /// A log standard deviation whose exponential is no usable number.
+    #[error("`log_sigma[{index}]` is {value}, expected -20 to 20")]
+    LogSigma {
         /// position
         index: usize,
         /// value
@@ -263,6 +274,23 @@ impl AffineGaussian {
                 });
             }
             check_finite(name, values)?;
+        }
+        if let Some(index) = self.log_sigma.iter().position(|l| l.abs() > MAX_LOG_SIGMA) {
+            let value = self.log_sigma[index];
+            return Err(PolicyError::LogSigma { index, value });
+        }
+        // names are for the reader; none at all is fine
+        for (name, names, expected) in [
+            ("observation_names", &self.observation_names, n_observation),
+            ("action_names", &self.action_names, n_action),
+        ] {
+            if !names.is_empty() && names.len() != expected {
+                return Err(PolicyError::Length {
+                    name,
+                    expected,
+                    got: names.len(),
+                });
+            }
         }
         Ok(())
     }

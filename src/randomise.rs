@@ -1,7 +1,8 @@
 //! Drawing the parameters of a model anew for each rollout: the ensembles of the paper.
 //!
 //! A rule names an element by a glob (`body/p*_base`), an attribute of it, and a distribution. Draws are made from the
-//! nominal value, never from the last draw, so that a rollout depends on its own random stream only.
+//! nominal value, never from the last draw, so that a rollout depends on its own random stream only. When several rules
+//! hit the same number they act one after the other: the second draws around what the first left.
 //!
 //! ```toml
 //! [[randomise]]
@@ -14,7 +15,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::mujoco::{Data, Model, MujocoError, ObjectKind};
+use crate::mujoco::{Data, Model, ModelEdit, MujocoError, ObjectKind};
 use crate::rng::{self, Stream};
 
 /// What can be wrong with a rule.
@@ -46,7 +47,7 @@ pub enum Distribution {
     Uniform(f64),
     /// nominal × exp(N(0, sigma²)); keeps the sign
     LogNormal(f64),
-    /// the value itself, the same in every rollout
+    /// the value itself, the same in every rollout; not below 0 where that makes no sense
     Fixed(f64),
 }
 
@@ -152,8 +153,16 @@ struct Slot {
     nominal: f64,
 }
 
-/// Arrays no derived constant depends on as long as only bases and surfaces are drawn.
-const KINEMATIC: [&str; 4] = ["body_pos", "geom_friction", "geom_solref", "geom_solimp"];
+/// Arrays no derived constant depends on. Nor does one on `body_pos` of a body fixed to the world: moving a whole
+/// mechanism changes no inertia.
+const SURFACE: [&str; 3] = ["geom_friction", "geom_solref", "geom_solimp"];
+
+// `mjtGeom` of the engine's model format
+const SPHERE: i32 = 2;
+const CAPSULE: i32 = 3;
+const ELLIPSOID: i32 = 4;
+const CYLINDER: i32 = 5;
+const BOX: i32 = 6;
 
 #[derive(Debug, Clone)]
 struct Target {
@@ -165,19 +174,18 @@ struct Target {
 }
 
 impl Target {
-    fn sample(&self, rng: &mut Stream) -> f64 {
-        let nominal = self.slot.nominal;
+    fn sample(&self, around: f64, rng: &mut Stream) -> f64 {
         let value = match self.distribution {
-            Distribution::Normal(sigma) => nominal + sigma * rng::normal(rng),
+            Distribution::Normal(sigma) => around + sigma * rng::normal(rng),
             Distribution::Uniform(half_width) => {
-                nominal + rng::uniform(rng, -half_width, half_width)
+                around + rng::uniform(rng, -half_width, half_width)
             }
-            Distribution::LogNormal(sigma) => nominal * (sigma * rng::normal(rng)).exp(),
-            Distribution::Fixed(value) => value,
+            Distribution::LogNormal(sigma) => around * (sigma * rng::normal(rng)).exp(),
+            Distribution::Fixed(value) => return value,
         };
         // a far draw of a wide distribution must not make a body of negative mass: keep a hundredth
         if self.positive {
-            value.max(0.01 * nominal)
+            value.max(0.01 * around)
         } else {
             value
         }
@@ -190,6 +198,8 @@ pub struct Randomiser {
     targets: Vec<Target>,
     /// whether the engine's derived constants (inverse weights, subtree masses) depend on a target
     inertial: bool,
+    /// geoms whose size is drawn: their bounding radius, which the engine only computes when it compiles, follows
+    resized: Vec<usize>,
 }
 
 impl Randomiser {
@@ -207,8 +217,21 @@ impl Randomiser {
                 reason,
             })?;
         }
-        let inertial = targets.iter().any(|t| !KINEMATIC.contains(&t.slot.array));
-        Ok(Self { targets, inertial })
+        let inertial = targets.iter().any(|t| match t.slot.array {
+            "body_pos" => model.body_parentid()[t.slot.index / 3] != 0,
+            array => !SURFACE.contains(&array),
+        });
+        let mut resized: Vec<usize> = targets
+            .iter()
+            .filter(|t| t.slot.array == "geom_size")
+            .map(|t| t.slot.index / 3)
+            .collect();
+        resized.dedup();
+        Ok(Self {
+            targets,
+            inertial,
+            resized,
+        })
     }
 
     /// Draw every target from its nominal value into the model of `data`, which should be reset afterwards.
@@ -220,16 +243,24 @@ impl Randomiser {
             return Ok(());
         }
         data.edit_model(|edit| {
-            let mut set = |slot: &Slot, value: f64| {
-                if let Some(array) = edit.numeric_field_mut(slot.array) {
-                    array[slot.index] = value;
-                }
-            };
             for target in &self.targets {
-                let value = target.sample(rng);
-                set(&target.slot, value);
+                for slot in std::iter::once(&target.slot).chain(&target.followers) {
+                    slot.set(edit, slot.nominal);
+                }
+            }
+            for target in &self.targets {
+                let around = target.slot.get(edit);
+                let value = target.sample(around, rng);
+                target.slot.set(edit, value);
                 for follower in &target.followers {
-                    set(follower, follower.nominal * value / target.slot.nominal);
+                    let of_follower = follower.get(edit);
+                    follower.set(edit, of_follower * value / around);
+                }
+            }
+            for &geom in &self.resized {
+                let radius = bounding_radius(edit.model(), geom);
+                if let (Some(radius), Some(bound)) = (radius, edit.geom_rbound().get_mut(geom)) {
+                    *bound = radius;
                 }
             }
             if self.inertial {
@@ -237,6 +268,33 @@ impl Randomiser {
             }
         })?;
         Ok(())
+    }
+}
+
+impl Slot {
+    fn get(&self, edit: &ModelEdit<'_>) -> f64 {
+        edit.model()
+            .numeric_field(self.array)
+            .map_or(self.nominal, |array| array[self.index])
+    }
+
+    fn set(&self, edit: &mut ModelEdit<'_>, value: f64) {
+        if let Some(array) = edit.numeric_field_mut(self.array) {
+            array[self.index] = value;
+        }
+    }
+}
+
+/// Radius of the smallest sphere about its centre that holds a geom; `None` for shapes not made of `size`.
+fn bounding_radius(model: &Model, geom: usize) -> Option<f64> {
+    let size = &model.geom_size()[3 * geom..3 * geom + 3];
+    match model.geom_type()[geom] {
+        SPHERE => Some(size[0]),
+        CAPSULE => Some(size[0] + size[1]),
+        ELLIPSOID => Some(size[0].max(size[1]).max(size[2])),
+        CYLINDER => Some(size[0].hypot(size[1])),
+        BOX => Some(size[0].hypot(size[1]).hypot(size[2])),
+        _ => None,
     }
 }
 
@@ -268,6 +326,16 @@ fn resolve(model: &Model, rule: &Rule, targets: &mut Vec<Target>) -> Result<(), 
     let (_, (_, width)) = model
         .numeric_field_shaped(attribute.array)
         .ok_or_else(|| format!("the model has no array `{}`", attribute.array))?;
+    let is_mass = attribute.array == "body_mass";
+    if fixed && attribute.positive && (spread < 0.0 || (is_mass && spread == 0.0)) {
+        let bound = if is_mass { "above 0" } else { "of at least 0" };
+        return Err(format!("fixed at {spread}, expected a number {bound}"));
+    }
+    let mut components = rule.components.clone();
+    components.sort_unstable();
+    if components.windows(2).any(|pair| pair[0] == pair[1]) {
+        return Err("a component is listed twice".to_owned());
+    }
     let slot = |array: &'static str, index: usize| -> Slot {
         let nominal = model.numeric_field(array).map_or(0.0, |a| a[index]);
         Slot {
@@ -284,6 +352,9 @@ fn resolve(model: &Model, rule: &Rule, targets: &mut Vec<Target>) -> Result<(), 
         {
             continue;
         }
+        if let Some(reason) = without_effect(model, attribute, id) {
+            return Err(reason);
+        }
         for row in array_rows(model, attribute, id) {
             let all: Vec<usize> = (0..width).collect();
             for &component in if rule.components.is_empty() {
@@ -296,14 +367,15 @@ fn resolve(model: &Model, rule: &Rule, targets: &mut Vec<Target>) -> Result<(), 
                         "component {component} does not exist, the attribute has {width}"
                     ));
                 }
-                let followers = if attribute.array == "body_mass" {
+                let followers = if is_mass {
                     (0..3).map(|i| slot("body_inertia", 3 * id + i)).collect()
                 } else {
                     Vec::new()
                 };
                 let slot = slot(attribute.array, row * width + component);
                 if !followers.is_empty() && slot.nominal <= 0.0 {
-                    return Err(format!("body {id} has no mass to draw around"));
+                    let name = model.name(attribute.object, id).unwrap_or_default();
+                    return Err(format!("body `{name}` has no mass to draw around"));
                 }
                 targets.push(Target {
                     slot,
@@ -318,6 +390,22 @@ fn resolve(model: &Model, rule: &Rule, targets: &mut Vec<Target>) -> Result<(), 
         return Err(format!("no {kind} is named `{glob}`"));
     }
     Ok(())
+}
+
+/// Why drawing the attribute of element `id` would do nothing or break the model.
+fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<String> {
+    let name = model.name(attribute.object, id).unwrap_or_default();
+    match attribute.array {
+        // the engine takes the place of a free body from qpos alone
+        "body_pos" if model.body_dofnum()[id] == 6 && model.body_jntnum()[id] == 1 => Some(
+            format!("body `{name}` is free, its position is part of the state"),
+        ),
+        "body_pos" if id == 0 => Some("the world cannot be moved".to_owned()),
+        "geom_size" if bounding_radius(model, id).is_none() => Some(format!(
+            "the shape of geom `{name}` is not made of its size"
+        )),
+        _ => None,
+    }
 }
 
 /// Rows of the attribute's array that belong to element `id`.

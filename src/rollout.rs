@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::mujoco::{Data, Model, MujocoError};
-use crate::policy::AffineGaussian;
+use crate::policy::{AffineGaussian, PolicyError};
 use crate::randomise::{RandomiseError, Randomiser};
 use crate::rng::{self, Purpose};
 use crate::task::{Task, TaskError};
@@ -33,6 +33,15 @@ pub enum RolloutError {
     /// A model could not be drawn.
     #[error(transparent)]
     Randomise(#[from] RandomiseError),
+    /// The policy does not fit the task.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// A recorded breakdown does not belong to this task and model.
+    #[error("the dump does not fit the model: {reason}")]
+    Dump {
+        /// which part, and how
+        reason: String,
+    },
     /// The threads could not be made.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
@@ -157,7 +166,7 @@ impl Sampler {
     /// Make `threads` workers, each with its own copy of `model`.
     ///
     /// # Errors
-    /// When memory or threads cannot be had.
+    /// When memory or threads cannot be had, or the task needs another number of motors than the model has.
     pub fn new(
         model: &Model,
         task: Arc<dyn Task>,
@@ -165,6 +174,15 @@ impl Sampler {
         config: RolloutConfig,
         threads: usize,
     ) -> Result<Self, RolloutError> {
+        // 0 would mean "as many as there are cores" to the pool, and no worker here
+        if threads == 0 {
+            let reason = "expected at least 1".to_owned();
+            return Err(RolloutError::Threads { threads, reason });
+        }
+        if task.n_action() != model.nu() {
+            let reason = format!("{} actuators, expected {}", model.nu(), task.n_action());
+            return Err(TaskError::Model { reason }.into());
+        }
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .thread_name(|i| format!("rollout-{i}"))
@@ -175,7 +193,7 @@ impl Sampler {
             })?;
         let workers = (0..threads)
             .map(|_| {
-                let data = Data::new(Arc::new(model.clone()))?;
+                let data = Data::new(Arc::new(model.try_clone()?))?;
                 let (observation, action) =
                     (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
                 Ok(Mutex::new(Worker {
@@ -212,13 +230,15 @@ impl Sampler {
     /// Roll out `policy`; `batch` is overwritten, its memory reused.
     ///
     /// # Errors
-    /// The first failure by trajectory index. A diverged simulation is not one.
+    /// A policy that does not fit the task; else the first failure by trajectory index. A diverged simulation is not
+    /// one.
     pub fn sample(
         &self,
         policy: &AffineGaussian,
         request: &BatchRequest<'_>,
         batch: &mut Vec<Trajectory>,
     ) -> Result<(), RolloutError> {
+        policy.check(self.task.n_observation(), self.task.n_action())?;
         batch.resize_with(request.n_trajectory, Trajectory::default);
         let results: Vec<Result<(), RolloutError>> = self.pool.install(|| {
             batch
@@ -260,11 +280,10 @@ impl Sampler {
             |start| start.model,
         );
         self.draw_model(data, request.seed, draw)?;
-        data.clear_warnings();
         match start {
             None => self.task.start(data, &mut rng)?,
             Some(start) => {
-                set_start(data, start);
+                set_start(data, start)?;
                 self.task.new_goal(data, &mut rng)?;
             }
         }
@@ -311,7 +330,14 @@ impl Sampler {
             trajectory.observations.extend_from_slice(observation);
             policy.sample(observation, &mut rng, action, &mut noise);
             trajectory.noise.extend_from_slice(&noise);
-            actions.extend_from_slice(action);
+            // JSON has no infinities, and any number beyond MuJoCo's range breaks down in the same way
+            actions.extend(action.iter().map(|&a| {
+                if a.is_finite() {
+                    a
+                } else {
+                    f64::MAX.copysign(a)
+                }
+            }));
             hold(data, action, self.config.control_hold)?;
             let reward = task.reward(data, action);
             if let Some(reason) = breakdown(data, reward) {
@@ -343,7 +369,7 @@ impl Sampler {
     /// Run a recorded breakdown again; returns what is seen this time (`None`: it did not break down).
     ///
     /// # Errors
-    /// When the dump does not fit the task or the engine fails.
+    /// When the dump does not fit the task and the model, or the engine fails.
     pub fn replay(
         &self,
         seed: u64,
@@ -353,12 +379,16 @@ impl Sampler {
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner);
         let data = &mut worker.data;
+        let (n, width) = (dump.actions.len(), self.task.n_action());
+        if !n.is_multiple_of(width) {
+            let reason = format!("`actions` has {n} values, expected a multiple of {width}");
+            return Err(RolloutError::Dump { reason });
+        }
         self.draw_model(data, seed, dump.start.model)?;
-        data.clear_warnings();
-        set_start(data, &dump.start);
-        data.mocap_pos_mut().copy_from_slice(&dump.mocap_pos);
+        set_start(data, &dump.start)?;
+        copy("mocap_pos", &dump.mocap_pos, data.mocap_pos_mut())?;
         data.step1()?;
-        for (step, action) in dump.actions.chunks_exact(self.task.n_action()).enumerate() {
+        for (step, action) in dump.actions.chunks_exact(width.max(1)).enumerate() {
             hold(data, action, self.config.control_hold)?;
             if let Some(reason) = breakdown(data, self.task.reward(data, action)) {
                 return Ok(Some((step, reason)));
@@ -371,9 +401,9 @@ impl Sampler {
 /// Apply `action` for `steps` physics steps, leaving positions and velocities evaluated.
 ///
 /// # Errors
-/// When the engine fails.
+/// When the engine fails or `action` has another length than `ctrl`.
 pub fn hold(data: &mut Data, action: &[f64], steps: usize) -> Result<(), MujocoError> {
-    data.ctrl_mut().copy_from_slice(action);
+    copy("ctrl", action, data.ctrl_mut())?;
     for _ in 0..steps {
         data.step2()?;
         data.step1()?;
@@ -383,16 +413,43 @@ pub fn hold(data: &mut Data, action: &[f64], steps: usize) -> Result<(), MujocoE
 
 /// Why the simulation can no longer be trusted, if so.
 pub fn breakdown(data: &Data, reward: f64) -> Option<String> {
-    let warnings = data.warnings();
-    if warnings.any() {
-        return Some(format!("{warnings:?}"));
+    let w = data.warnings();
+    if w.any() {
+        let raised: Vec<String> = [
+            ("nearly singular inertia", w.inertia),
+            ("contact buffer full", w.contact_full),
+            ("constraint buffer full", w.constraint_full),
+            ("visual geom buffer full", w.vgeom_full),
+            ("unusable qpos", w.bad_qpos),
+            ("unusable qvel", w.bad_qvel),
+            ("unusable qacc", w.bad_qacc),
+            ("unusable ctrl", w.bad_ctrl),
+        ]
+        .into_iter()
+        .filter(|(_, count)| *count > 0)
+        .map(|(what, count)| format!("{what} ({count} times)"))
+        .collect();
+        return Some(raised.join(", "));
     }
     (!reward.is_finite()).then(|| format!("reward is {reward}"))
 }
 
-fn set_start(data: &mut Data, start: &Start) {
-    data.qpos_mut().copy_from_slice(&start.qpos);
-    data.qvel_mut().copy_from_slice(&start.qvel);
+fn set_start(data: &mut Data, start: &Start) -> Result<(), MujocoError> {
+    copy("qpos", &start.qpos, data.qpos_mut())?;
+    copy("qvel", &start.qvel, data.qvel_mut())
+}
+
+fn copy(name: &'static str, from: &[f64], to: &mut [f64]) -> Result<(), MujocoError> {
+    let (expected, got) = (to.len(), from.len());
+    if expected != got {
+        return Err(MujocoError::Length {
+            name,
+            expected,
+            got,
+        });
+    }
+    to.copy_from_slice(from);
+    Ok(())
 }
 
 impl Trajectory {

@@ -154,6 +154,7 @@ pub fn fit(
     stride: usize,
     ridge: f64,
 ) -> Option<Fit> {
+    let stride = stride.max(1);
     let shape = standardise(targets, n_observation);
     let n = shape.n_feature();
 
@@ -164,14 +165,14 @@ pub fn fit(
     ];
     let sums = gram::lanes(targets, |lane| {
         let mut gram = Gram::new(n + 1);
-        for target in lane {
+        for (k, target) in lane.enumerate() {
             let rows = target
                 .observations
                 .chunks_exact(n_observation)
                 .zip(target.returns)
                 .enumerate();
             // the phase moves along with the trajectory so that every time is visited
-            for (t, (observation, y)) in rows.step_by(stride) {
+            for (t, (observation, y)) in rows.skip(k % stride).step_by(stride) {
                 gram.push(|panel| {
                     shape.features(observation, t as f64 / horizon as f64, panel);
                     panel.push(*y);
@@ -204,7 +205,7 @@ pub fn fit(
         let shrunk: f64 = weights.iter().skip(1).map(|w| w * w).sum();
         let residual = square - dot(weights.as_slice(), right.as_slice()) / count - ridge * shrunk;
         let variance = square - mean * mean;
-        let explained_variance = if variance > 0.0 {
+        let explained_variance = if variance > 1e-12 * square {
             1.0 - residual / variance
         } else {
             0.0

@@ -20,8 +20,11 @@ pub mod advantage;
 pub mod baseline;
 pub mod fisher;
 mod gram;
+mod step;
+mod totals;
 
-use nalgebra::DMatrix;
+pub use step::kl_divergence;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -30,7 +33,8 @@ use crate::rollout::Trajectory;
 use crate::task::ObservationGroup;
 use baseline::{Baseline, FitReport, Target};
 use fisher::{Fisher, FisherMode};
-use gram::Gram;
+use step::step;
+use totals::Totals;
 
 /// Which value function the advantages are computed with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -56,7 +60,8 @@ pub struct NpgConfig {
     pub fisher: FisherMode,
     /// damping of the standardised Fisher matrix, relative to its diagonal
     pub fisher_damping: f64,
-    /// advantages are clipped at this many standard deviations
+    /// advantages are clipped at this many standard deviations, and so are the targets of the value fit (not below 3
+    /// there); the standard deviations are those after clipping
     pub advantage_clip: f64,
     /// `crossed` or `previous`
     pub value_from: ValueFrom,
@@ -134,6 +139,12 @@ impl NpgConfig {
         ] {
             setting(key, value, (-20.0..=20.0).contains(&value), "-20 to 20")?;
         }
+        setting(
+            "npg.initial_log_sigma",
+            self.initial_log_sigma,
+            self.initial_log_sigma >= self.log_sigma_floor,
+            "at least `npg.log_sigma_floor`",
+        )?;
         Ok(())
     }
 }
@@ -180,23 +191,17 @@ pub struct UpdateReport {
     pub kl_predicted: f64,
     /// KL(old ‖ new) averaged over the batch, closed form
     pub kl_measured: f64,
-    /// cosine in the Fisher metric between the natural gradients of even and odd trajectories
+    /// cosine in the Fisher metric between the natural gradients of even and odd trajectories; not a number when one of
+    /// them is zero
     pub half_cosine: f64,
     /// the same, over the weights of each observation group alone
     pub group_cosines: Vec<(&'static str, f64)>,
-    /// standard deviation of the advantages before they are normalised
+    /// standard deviation of the advantages before they are normalised, outliers clipped
     pub advantage_sigma: f64,
     /// share of advantages that were clipped
     pub clipped_share: f64,
     /// quality of the value function; `None`: too few samples, the old one was kept
     pub value_fit: Option<FitReport>,
-}
-
-/// Sums over one lane of trajectories.
-struct Sums {
-    gradient: Vec<f64>,            // Σ A u, in units of σ
-    second: (DMatrix<f64>, usize), // Σ φφᵀ
-    outer: Option<DMatrix<f64>>,   // Σ u uᵀ
 }
 
 /// One update of `policy` and `baseline` from a batch.
@@ -227,50 +232,20 @@ pub fn update(
     let (advantage_sigma, clipped_share) = normalise(&mut advantages, config.advantage_clip);
 
     // gradient and metric
-    let n_weight = policy.weights().len();
     let samples: Vec<(&Trajectory, &[f64])> = usable
         .iter()
         .copied()
         .zip(advantages.iter().map(Vec::as_slice))
         .collect();
-    let sums = gram::lanes(&samples, |lane| sum_lane(policy, lane, config.fisher));
-    let n_sample: usize = sums.iter().map(|s| s.second.1).sum();
-    let scale = 1.0 / n_sample as f64;
-    let mut second = DMatrix::zeros(policy.n_observation() + 1, policy.n_observation() + 1);
-    let mut outer: Option<DMatrix<f64>> = None;
-    let mut halves = [
-        vec![0.0; policy.n_parameter()],
-        vec![0.0; policy.n_parameter()],
-    ];
-    for (lane, sum) in sums.into_iter().enumerate() {
-        second += sum.second.0 * scale;
-        for (total, value) in halves[lane % 2].iter_mut().zip(&sum.gradient) {
-            *total += value * scale;
-        }
-        if let Some(lane_outer) = sum.outer {
-            match &mut outer {
-                Some(total) => *total += lane_outer * scale,
-                None => outer = Some(lane_outer * scale),
-            }
-        }
-    }
-    gram::symmetrise(&mut second);
-    // from units of σ to weights
-    let sigma: Vec<f64> = policy.log_sigma().iter().map(|l| l.exp()).collect();
-    for half in &mut halves {
-        for (row, sigma) in half[..n_weight]
-            .chunks_exact_mut(policy.n_observation() + 1)
-            .zip(&sigma)
-        {
-            for value in row {
-                *value /= sigma;
-            }
-        }
-    }
+    let Totals {
+        n_sample,
+        halves,
+        second,
+        outer,
+    } = Totals::of(policy, &samples, config.fisher);
     let fisher = match outer {
         None => Fisher::exact(&second, policy.log_sigma(), config.fisher_damping),
-        Some(mut outer) => {
-            gram::symmetrise(&mut outer);
+        Some(outer) => {
             Fisher::empirical(&outer, &second, policy.log_sigma(), config.fisher_damping)
         }
     }
@@ -329,7 +304,7 @@ fn fit_baseline(
     config: &NpgConfig,
 ) -> Option<baseline::Fit> {
     let n_observation = usable[0].final_observation.len();
-    let returns = per_trajectory(usable, |trajectory| {
+    let mut returns = per_trajectory(usable, |trajectory| {
         let (mut last, mut returns) = (Vec::new(), Vec::new());
         baseline.values(
             &trajectory.final_observation,
@@ -340,6 +315,12 @@ fn fit_baseline(
         advantage::returns(&trajectory.rewards, last[0], config.discount, &mut returns);
         returns
     });
+    // the object flung off the table once must not bend the value of every other state
+    let clip = config.advantage_clip.max(advantage::MIN_CLIP);
+    let (mean, sigma) = advantage::robust_moments(&returns, clip);
+    for value in returns.iter_mut().flatten() {
+        *value = value.max(mean - clip * sigma).min(mean + clip * sigma);
+    }
     let targets: Vec<Target<'_>> = usable
         .iter()
         .zip(&returns)
@@ -400,14 +381,7 @@ fn per_trajectory<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync +
 /// the clipped share.
 fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
     let count = advantages.iter().map(Vec::len).sum::<usize>() as f64;
-    let mean = advantages.iter().flatten().sum::<f64>() / count;
-    let variance = advantages
-        .iter()
-        .flatten()
-        .map(|a| (a - mean).powi(2))
-        .sum::<f64>()
-        / count;
-    let sigma = variance.sqrt();
+    let (mean, sigma) = advantage::robust_moments(advantages, clip);
     let inverse = if sigma > 0.0 { 1.0 / sigma } else { 0.0 };
     let mut clipped = 0_usize;
     for a in advantages.iter_mut().flatten() {
@@ -418,102 +392,6 @@ fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
         }
     }
     (sigma, clipped as f64 / count)
-}
-
-fn sum_lane(
-    policy: &AffineGaussian,
-    lane: &mut dyn Iterator<Item = &(&Trajectory, &[f64])>,
-    mode: FisherMode,
-) -> Sums {
-    let (n, n_action) = (policy.n_observation(), policy.n_action());
-    let width = n + 1;
-    let n_weight = width * n_action;
-    let mut gradient = vec![0.0; policy.n_parameter()];
-    let mut second = Gram::new(width);
-    let mut outer = (mode == FisherMode::Empirical).then(|| Gram::new(policy.n_parameter()));
-    for (trajectory, advantages) in lane {
-        let rows = trajectory
-            .observations
-            .chunks_exact(n)
-            .zip(trajectory.noise.chunks_exact(n_action));
-        for ((observation, noise), advantage) in rows.zip(*advantages) {
-            for (row, z) in gradient[..n_weight].chunks_exact_mut(width).zip(noise) {
-                let factor = advantage * z;
-                for (sum, s) in row.iter_mut().zip(observation) {
-                    *sum += factor * s;
-                }
-                row[n] += factor;
-            }
-            for (sum, z) in gradient[n_weight..].iter_mut().zip(noise) {
-                *sum += advantage * (z * z - 1.0);
-            }
-            second.push(|panel| {
-                panel.extend_from_slice(observation);
-                panel.push(1.0);
-            });
-            if let Some(outer) = &mut outer {
-                outer.push(|panel| {
-                    for z in noise {
-                        panel.extend(observation.iter().map(|s| z * s));
-                        panel.push(*z);
-                    }
-                    panel.extend(noise.iter().map(|z| z * z - 1.0));
-                });
-            }
-        }
-    }
-    Sums {
-        gradient,
-        second: second.finish(),
-        outer: outer.map(|gram| gram.finish().0),
-    }
-}
-
-/// The policy one normalised step along `direction`, and KL(old ‖ new). The step is halved while the measured KL is
-/// over twice the predicted one, which the change of σ can cause.
-fn step(
-    policy: &AffineGaussian,
-    direction: &[f64],
-    gradient_norm2: f64,
-    second: &DMatrix<f64>,
-    config: &NpgConfig,
-) -> (f64, AffineGaussian) {
-    let theta = policy.parameters();
-    let mut length = (config.step_size_delta / gradient_norm2).sqrt();
-    loop {
-        let mut next = policy.clone();
-        let moved: Vec<f64> = theta
-            .iter()
-            .zip(direction)
-            .map(|(t, d)| t + length * d)
-            .collect();
-        if next.set_parameters(&moved).is_ok() {
-            next.raise_log_sigma(config.log_sigma_floor);
-            let kl = kl_divergence(policy, &next, second);
-            if kl <= config.step_size_delta {
-                return (kl, next);
-            }
-        }
-        length *= 0.5;
-    }
-}
-
-/// KL(old ‖ new) averaged over observations with second moment `second`.
-pub fn kl_divergence(old: &AffineGaussian, new: &AffineGaussian, second: &DMatrix<f64>) -> f64 {
-    let width = second.nrows();
-    let rows = old
-        .weights()
-        .chunks_exact(width)
-        .zip(new.weights().chunks_exact(width));
-    let sigmas = old.log_sigma().iter().zip(new.log_sigma());
-    rows.zip(sigmas)
-        .map(|((a, b), (l, m))| {
-            let change =
-                nalgebra::DVector::from_iterator(width, b.iter().zip(a).map(|(b, a)| b - a));
-            let shift = change.dot(&(second * &change)); // E[(μ' - μ)²]
-            m - l + ((2.0 * l).exp() + shift) / (2.0 * (2.0 * m).exp()) - 0.5
-        })
-        .sum()
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

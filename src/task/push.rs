@@ -270,6 +270,8 @@ impl Task for PushTask {
 
     fn start(&self, data: &mut Data, rng: &mut Stream) -> Result<(), TaskError> {
         for _ in 0..START_TRIES {
+            // a rejected state may have overfilled a buffer; that says nothing about the next one
+            data.clear_warnings();
             self.draw_joints(data, rng);
             self.new_goal(data, rng)?;
             if !self.touches_object(data) {
