@@ -46,7 +46,7 @@ pub(super) const MIN_CLIP: f64 = 3.0;
 /// clipped, and everything else vanishes beside it. So the limits are taken from the limited values again, until they
 /// stay: as long as the outliers are fewer than one in `clip²` samples, they end up near those of the rest.
 pub(super) fn robust_moments(values: &[Vec<f64>], clip: f64) -> (f64, f64) {
-    const PASSES: usize = 50;
+    const PASSES: usize = 200;
     let clip = clip.max(MIN_CLIP);
     let count = values.iter().map(Vec::len).sum::<usize>().max(1) as f64;
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);

@@ -397,3 +397,6 @@ fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
+
+#[cfg(test)]
+mod tests;
