@@ -1,7 +1,7 @@
 //! The metric of the natural gradient and its inverse.
 //!
 //! For an affine Gaussian policy with state-independent σ the Fisher matrix is known but for the second moment of
-//! the observations, C = E[φφᵀ], φ = (s, 1):
+//! the observations, `C = E[φφᵀ]`, φ = (s, 1):
 //!
 //! ```text
 //! F = diag(1/σ²) ⊗ C  ⊕  2 I          (weights row by row; log σ)
@@ -44,7 +44,7 @@ enum Factor {
 impl Fisher {
     /// Factor the exact metric.
     ///
-    /// `second_moment` is E[φφᵀ], bias last. Returns `None` when it is not finite.
+    /// `second_moment` is `E[φφᵀ]`, bias last. Returns `None` when it is not finite.
     pub fn exact(second_moment: &DMatrix<f64>, log_sigma: &[f64], damping: f64) -> Option<Self> {
         let (mean, inverse_scale, correlation) = standardise(second_moment);
         let n = correlation.nrows();

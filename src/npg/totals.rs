@@ -13,9 +13,9 @@ pub(super) struct Totals {
     pub(super) n_sample: usize,
     /// gradient from the trajectories of even and of odd index; their sum is the gradient
     pub(super) halves: [Vec<f64>; 2],
-    /// E[φφᵀ]
+    /// `E[φφᵀ]`
     pub(super) second: DMatrix<f64>,
-    /// E[u uᵀ], where u is the score in units of σ; with the empirical Fisher matrix only
+    /// `E[u uᵀ]`, where u is the score in units of σ; with the empirical Fisher matrix only
     pub(super) outer: Option<DMatrix<f64>>,
 }
 

@@ -16,7 +16,7 @@ fn observe(rng: &mut Stream) -> Vec<f64> {
     normals(rng, 3)
 }
 
-/// Best at a = (s_0, -s_1): there is a clear direction to go.
+/// Best at a = `(s_0, -s_1)`: there is a clear direction to go.
 fn reward(s: &[f64], a: &[f64]) -> f64 {
     -(a[0] - s[0]).powi(2) - (a[1] + s[1]).powi(2)
 }

@@ -140,6 +140,9 @@ fn seeds_and_rollouts_differ_and_repeat() {
         a.rollouts[0].mean_distance_cm,
         a.rollouts[1].mean_distance_cm
     );
-    let mean = (a.rollouts[0].mean_distance_cm + a.rollouts[1].mean_distance_cm) / 2.0;
+    let mean = f64::midpoint(
+        a.rollouts[0].mean_distance_cm,
+        a.rollouts[1].mean_distance_cm,
+    );
     assert!((a.mean_distance_cm - mean).abs() < 1e-12);
 }
