@@ -218,6 +218,12 @@ impl Trainer {
         &self.sampler
     }
 
+    /// Breakdowns of the last batch that no record has handed out: after [`Trainer::advance`] failed because every
+    /// trajectory diverged, all of them.
+    pub fn unreported_breakdowns(&self) -> impl Iterator<Item = &Diverged> {
+        self.batch.iter().filter_map(|t| t.diverged.as_ref())
+    }
+
     /// Make one iteration.
     ///
     /// # Errors

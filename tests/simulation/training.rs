@@ -175,3 +175,17 @@ fn settings_out_of_range_are_named() {
     };
     assert!(matches!(error, TrainError::Rollout(_)), "{error}");
 }
+
+#[test]
+fn breakdowns_are_handed_out_even_when_nothing_is_left_to_learn_from() {
+    let mut trainer = trainer(0, 1);
+    let mut checkpoint = trainer.checkpoint().clone();
+    let mut theta = checkpoint.policy.parameters();
+    theta[36] = 1e200; // its square, part of the reward, is no number
+    checkpoint.policy.set_parameters(&theta).expect("finite");
+    trainer.restore(checkpoint.clone()).expect("restored");
+    let error = trainer.advance().expect_err("all broken");
+    assert_eq!(error.to_string(), "all 16 trajectories diverged");
+    assert_eq!(trainer.unreported_breakdowns().count(), 16);
+    assert_eq!(bits(trainer.checkpoint()), bits(&checkpoint));
+}
