@@ -41,14 +41,15 @@ pub struct Step {
 /// One rollout of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Rollout {
-    /// mean over its steps, cm
+    /// mean over the whole path, cm
     pub mean_distance_cm: f64,
-    /// mean of ‖torque‖ / sqrt(n_action), N m
+    /// mean of the root-mean-square torque over motors, N m
     pub rms_torque_nm: f64,
-    /// set when the simulation broke down; its distance is then that up to the breakdown
+    /// set when the simulation broke down; for the rest of the path the object counts as staying where it was last
+    /// seen, so that an early breakdown is no way to a good figure
     #[serde(skip_serializing_if = "Option::is_none")]
     pub diverged: Option<String>,
-    /// every physics step
+    /// every physics step, up to a breakdown
     #[serde(skip)]
     pub steps: Vec<Step>,
 }
@@ -56,7 +57,7 @@ pub struct Rollout {
 /// All rollouts of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evaluation {
-    /// mean over rollouts, cm
+    /// mean over rollouts, cm; not a number when there are none
     pub mean_distance_cm: f64,
     /// standard deviation between rollouts, cm
     pub std_cm: f64,
@@ -67,7 +68,7 @@ pub struct Evaluation {
 /// Evaluate the mean action of `policy` on the spiral.
 ///
 /// # Errors
-/// When the engine fails; a simulation that breaks down is reported in its rollout.
+/// When the policy does not fit the task or the engine fails; a simulation that breaks down is reported in its rollout.
 pub fn evaluate(
     model: &Arc<Model>,
     task: &PushTask,
@@ -75,17 +76,25 @@ pub fn evaluate(
     policy: &AffineGaussian,
     request: EvaluationRequest,
 ) -> Result<Evaluation, RolloutError> {
+    policy.check(task.n_observation(), task.n_action())?;
     let results: Vec<Result<Rollout, RolloutError>> = (0..request.n_rollout)
         .into_par_iter()
         .with_max_len(1)
         .map(|index| follow(model, task, randomiser, policy, request.seed, index as u64))
         .collect();
     let rollouts = results.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let n = rollouts.len().max(1) as f64;
+    let n = rollouts.len() as f64;
     let mean = rollouts.iter().map(|r| r.mean_distance_cm).sum::<f64>() / n;
-    let variance =
-        rollouts.iter().map(|r| (r.mean_distance_cm - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    Ok(Evaluation { mean_distance_cm: mean, std_cm: variance.sqrt(), rollouts })
+    let variance = rollouts
+        .iter()
+        .map(|r| (r.mean_distance_cm - mean).powi(2))
+        .sum::<f64>()
+        / (n - 1.0).max(1.0);
+    Ok(Evaluation {
+        mean_distance_cm: mean,
+        std_cm: variance.sqrt(),
+        rollouts,
+    })
 }
 
 fn follow(
@@ -99,10 +108,15 @@ fn follow(
     let mut data = Data::new(Arc::clone(model))?;
     randomiser.draw(&mut data, &mut rng::stream(seed, Purpose::Model, 0, index))?;
     data.reset();
-    task.start(&mut data, &mut rng::stream(seed, Purpose::Evaluation, 0, index))?;
+    task.start(
+        &mut data,
+        &mut rng::stream(seed, Purpose::Evaluation, 0, index),
+    )?;
+    let first_object = [task.object(&data)[0], task.object(&data)[1]];
     let timestep = data.model().timestep();
     let n_step = (spiral::DURATION_S / timestep).round() as usize;
-    let (mut observation, mut action) = (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
+    let (mut observation, mut action) =
+        (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
     let mut steps = Vec::with_capacity(n_step);
     let (mut torque, mut diverged) = (0.0, None);
     for k in 0..n_step {
@@ -124,10 +138,17 @@ fn follow(
             distance_cm: 100.0 * task.distance_m(&data),
         });
     }
-    let n = steps.len().max(1) as f64;
+    let object = steps.last().map_or(first_object, |step| step.object_m);
+    let missed: f64 = (steps.len()..n_step)
+        .map(|k| {
+            let [x, y] = spiral::target(k as f64 * timestep);
+            100.0 * (object[0] - x).hypot(object[1] - y)
+        })
+        .sum();
+    let seen: f64 = steps.iter().map(|s| s.distance_cm).sum();
     Ok(Rollout {
-        mean_distance_cm: steps.iter().map(|s| s.distance_cm).sum::<f64>() / n,
-        rms_torque_nm: torque / n,
+        mean_distance_cm: (seen + missed) / n_step.max(1) as f64,
+        rms_torque_nm: torque / steps.len().max(1) as f64,
         diverged,
         steps,
     })

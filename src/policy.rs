@@ -21,6 +21,9 @@ use thiserror::Error;
 /// Version of the JSON layout.
 pub const FORMAT: &str = "phantom-affine-gaussian-1";
 
+/// Beyond this, exp(l) or the score overflow to something useless; the settings have the same range.
+const MAX_LOG_SIGMA: f64 = 20.0;
+
 /// What can be wrong with a policy.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -46,6 +49,14 @@ pub enum PolicyError {
     NotFinite {
         /// field
         name: &'static str,
+        /// position
+        index: usize,
+        /// value
+        value: f64,
+    },
+    /// A log standard deviation whose exponential is no usable number.
+    #[error("`log_sigma[{index}]` is {value}, expected -20 to 20")]
+    LogSigma {
         /// position
         index: usize,
         /// value
@@ -175,10 +186,18 @@ impl AffineGaussian {
     /// The mean action W s + b.
     pub fn mean(&self, observation: &[f64], action: &mut [f64]) {
         debug_assert_eq!(observation.len(), self.n_observation);
-        for (row, out) in self.weights.chunks_exact(self.n_observation + 1).zip(action) {
+        for (row, out) in self
+            .weights
+            .chunks_exact(self.n_observation + 1)
+            .zip(action)
+        {
             let (weights, bias) = row.split_at(self.n_observation);
             // left to right, as any reader of the file would sum it
-            *out = weights.iter().zip(observation).fold(0.0, |sum, (w, s)| sum + w * s) + bias[0];
+            *out = weights
+                .iter()
+                .zip(observation)
+                .fold(0.0, |sum, (w, s)| sum + w * s)
+                + bias[0];
         }
     }
 
@@ -188,7 +207,9 @@ impl AffineGaussian {
     /// Wrong format, lengths, sizes, or a number that is not finite.
     pub fn check(&self, n_observation: usize, n_action: usize) -> Result<(), PolicyError> {
         if self.format != FORMAT {
-            return Err(PolicyError::Format { found: self.format.clone() });
+            return Err(PolicyError::Format {
+                found: self.format.clone(),
+            });
         }
         if self.n_observation != n_observation || self.n_action != n_action {
             return Err(PolicyError::Size {
@@ -199,13 +220,35 @@ impl AffineGaussian {
             });
         }
         let expected = n_action * (n_observation + 1);
-        for (name, values, expected) in
-            [("weights", &self.weights, expected), ("log_sigma", &self.log_sigma, n_action)]
-        {
+        for (name, values, expected) in [
+            ("weights", &self.weights, expected),
+            ("log_sigma", &self.log_sigma, n_action),
+        ] {
             if values.len() != expected {
-                return Err(PolicyError::Length { name, expected, got: values.len() });
+                return Err(PolicyError::Length {
+                    name,
+                    expected,
+                    got: values.len(),
+                });
             }
             check_finite(name, values)?;
+        }
+        if let Some(index) = self.log_sigma.iter().position(|l| l.abs() > MAX_LOG_SIGMA) {
+            let value = self.log_sigma[index];
+            return Err(PolicyError::LogSigma { index, value });
+        }
+        // names are for the reader; none at all is fine
+        for (name, names, expected) in [
+            ("observation_names", &self.observation_names, n_observation),
+            ("action_names", &self.action_names, n_action),
+        ] {
+            if !names.is_empty() && names.len() != expected {
+                return Err(PolicyError::Length {
+                    name,
+                    expected,
+                    got: names.len(),
+                });
+            }
         }
         Ok(())
     }
@@ -213,7 +256,11 @@ impl AffineGaussian {
 
 fn check_finite(name: &'static str, values: &[f64]) -> Result<(), PolicyError> {
     match values.iter().position(|v| !v.is_finite()) {
-        Some(index) => Err(PolicyError::NotFinite { name, index, value: values[index] }),
+        Some(index) => Err(PolicyError::NotFinite {
+            name,
+            index,
+            value: values[index],
+        }),
         None => Ok(()),
     }
 }

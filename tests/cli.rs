@@ -224,18 +224,19 @@ fn a_changed_model_is_not_resumed() {
 fn numbers_out_of_range_are_usage_errors() {
     let folder = folder();
     for args in [
-        ["train", "--iterations", "0"],
-        ["train", "--threads", "0"],
-        ["train", "--seed=-1", "--threads=1"],
-        ["train", "--mass", "-0.3"],
-        ["train", "--mass", "nan"],
-        ["eval", "--rollouts", "0"],
-        ["eval", "--base-sigma", "-1"],
-        ["bench", "--threads", "x"],
+        ["train", "--iterations=0"],
+        ["train", "--threads=0"],
+        ["train", "--seed=-1"],
+        ["train", "--mass=-0.3"],
+        ["train", "--mass=nan"],
+        ["eval", "--rollouts=0"],
+        ["eval", "--base-sigma=-1"],
+        ["bench", "--threads=x"],
     ] {
         let output = phantom(folder.path(), &args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
-        assert!(text(&output.stderr).contains(args[1].split('=').next().unwrap_or_default()), "{args:?}");
+        let option = args[1].split('=').next().unwrap_or_default();
+        assert!(text(&output.stderr).contains(option), "{args:?}");
     }
 }
 

@@ -93,7 +93,7 @@ impl CliError {
             &RolloutError::Mujoco(ref engine) => Some(engine),
             RolloutError::Task(error) => task(error),
             RolloutError::Randomise(error) => randomise(error),
-            RolloutError::Threads { .. } => None,
+            _ => None,
         };
         match self {
             Self::Mujoco(engine) | Self::Train(TrainError::Mujoco(engine)) => Some(engine),

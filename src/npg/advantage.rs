@@ -7,7 +7,13 @@
 //! ```
 
 /// Generalised advantages; `values` has one more entry than `rewards`, the value of the state after the last action.
-pub fn generalised_advantages(rewards: &[f64], values: &[f64], discount: f64, lambda: f64, out: &mut Vec<f64>) {
+pub fn generalised_advantages(
+    rewards: &[f64],
+    values: &[f64],
+    discount: f64,
+    lambda: f64,
+    out: &mut Vec<f64>,
+) {
     debug_assert_eq!(values.len(), rewards.len() + 1);
     out.clear();
     out.resize(rewards.len(), 0.0);
@@ -30,6 +36,34 @@ pub fn returns(rewards: &[f64], last_value: f64, discount: f64, out: &mut Vec<f6
     }
 }
 
+/// Moments are never taken with values clipped closer than this: with one standard deviation or less they would shrink
+/// to nothing.
+pub(super) const MIN_CLIP: f64 = 3.0;
+
+/// Mean and standard deviation of all `values` limited to mean ± `clip` standard deviations.
+///
+/// An outlier a thousand standard deviations away makes the plain standard deviation so large that it is not even
+/// clipped, and everything else vanishes beside it. So the limits are taken from the limited values again, until they
+/// stay: as long as the outliers are fewer than one in `clip²` samples, they end up near those of the rest.
+pub(super) fn robust_moments(values: &[Vec<f64>], clip: f64) -> (f64, f64) {
+    const PASSES: usize = 200;
+    let clip = clip.max(MIN_CLIP);
+    let count = values.iter().map(Vec::len).sum::<usize>().max(1) as f64;
+    let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+    let (mut mean, mut sigma) = (0.0, f64::INFINITY);
+    for _ in 0..PASSES {
+        let limited = || values.iter().flatten().map(|v| v.max(low).min(high));
+        mean = limited().sum::<f64>() / count;
+        let variance = limited().map(|v| (v - mean).powi(2)).sum::<f64>() / count;
+        let before = std::mem::replace(&mut sigma, variance.sqrt());
+        (low, high) = (mean - clip * sigma, mean + clip * sigma);
+        if sigma.is_nan() || sigma >= 0.999 * before {
+            break;
+        }
+    }
+    (mean, sigma)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -41,15 +75,29 @@ mod tests {
         (0..horizon)
             .map(|t| {
                 let k_step = |k: usize| {
-                    let sum: f64 = (0..k).map(|i| discount.powi(i as i32) * rewards[t + i]).sum();
+                    let sum: f64 = (0..k)
+                        .map(|i| discount.powi(i as i32) * rewards[t + i])
+                        .sum();
                     sum + discount.powi(k as i32) * values[t + k] - values[t]
                 };
                 let last = horizon - t;
-                let weighted: f64 =
-                    (1..last).map(|k| (1.0 - lambda) * lambda.powi(k as i32 - 1) * k_step(k)).sum();
+                let weighted: f64 = (1..last)
+                    .map(|k| (1.0 - lambda) * lambda.powi(k as i32 - 1) * k_step(k))
+                    .sum();
                 weighted + lambda.powi(last as i32 - 1) * k_step(last)
             })
             .collect()
+    }
+
+    #[test]
+    fn robust_moments_are_those_of_the_rest() {
+        let rest: Vec<f64> = (0..1000).map(|i| f64::from(i % 10)).collect();
+        let plain = robust_moments(std::slice::from_ref(&rest), 5.0);
+        assert!((plain.0 - 4.5).abs() < 1e-12 && (plain.1 - 8.25_f64.sqrt()).abs() < 1e-12);
+        let (mean, sigma) = robust_moments(&[rest, vec![-1e9; 3]], 5.0);
+        assert!((mean - plain.0).abs() < 0.1, "{mean}");
+        assert!((sigma / plain.1 - 1.0).abs() < 0.1, "{sigma}");
+        assert_eq!(robust_moments(&[vec![2.0; 9]], 5.0), (2.0, 0.0));
     }
 
     proptest! {

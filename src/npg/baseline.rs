@@ -42,7 +42,7 @@ pub struct FitReport {
 /// One trajectory as the fit sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Target<'a> {
-    /// (T or more × n_input)
+    /// (T or more × `n_input`)
     pub inputs: &'a [f64],
     /// (T)
     pub returns: &'a [f64],
@@ -62,7 +62,11 @@ pub struct Fit {
 impl Baseline {
     /// A function that is zero everywhere.
     pub fn zero(n_input: usize) -> Self {
-        Self { mean: vec![0.0; n_input], inverse_scale: vec![0.0; n_input], weights: Vec::new() }
+        Self {
+            mean: vec![0.0; n_input],
+            inverse_scale: vec![0.0; n_input],
+            weights: Vec::new(),
+        }
     }
 
     /// Number of inputs.
@@ -110,7 +114,11 @@ impl Baseline {
                 continue;
             }
             features.clear();
-            self.features(observation, (first + t) as f64 / horizon as f64, &mut features);
+            self.features(
+                observation,
+                (first + t) as f64 / horizon as f64,
+                &mut features,
+            );
             out.push(dot(&features, &self.weights));
         }
     }
@@ -120,7 +128,9 @@ impl Baseline {
         self.mean.len() == n_input
             && self.inverse_scale.len() == n_input
             && (self.weights.is_empty() || self.weights.len() == self.n_feature())
-            && [&self.mean, &self.inverse_scale, &self.weights].iter().all(|v| v.iter().all(|x| x.is_finite()))
+            && [&self.mean, &self.inverse_scale, &self.weights]
+                .iter()
+                .all(|v| v.iter().all(|x| x.is_finite()))
     }
 }
 
@@ -142,18 +152,32 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 ///
 /// Returns `None` when there are fewer samples than features or the system cannot be factored, which happens only with
 /// non-finite input.
-pub fn fit(targets: &[Target<'_>], n_input: usize, horizon: usize, stride: usize, ridge: f64) -> Option<Fit> {
+pub fn fit(
+    targets: &[Target<'_>],
+    n_input: usize,
+    horizon: usize,
+    stride: usize,
+    ridge: f64,
+) -> Option<Fit> {
+    let stride = stride.max(1);
     let shape = standardise(targets, n_input);
     let n = shape.n_feature();
 
     // per lane: Σ (ψ, y)(ψ, y)ᵀ, the target as one more column
-    let mut halves = [(DMatrix::zeros(n + 1, n + 1), 0), (DMatrix::zeros(n + 1, n + 1), 0)];
+    let mut halves = [
+        (DMatrix::zeros(n + 1, n + 1), 0),
+        (DMatrix::zeros(n + 1, n + 1), 0),
+    ];
     let sums = gram::lanes(targets, |lane| {
         let mut gram = Gram::new(n + 1);
-        for target in lane {
-            let rows = target.inputs.chunks_exact(n_input).zip(target.returns).enumerate();
-            // the phase moves along with the trajectory so that every time is visited
-            for (t, (observation, y)) in rows.step_by(stride) {
+        for (k, target) in lane.enumerate() {
+            let rows = target
+                .inputs
+                .chunks_exact(n_input)
+                .zip(target.returns)
+                .enumerate();
+            // the phase moves along within a lane, so that both parities visit every time
+            for (t, (observation, y)) in rows.skip(k % stride).step_by(stride) {
                 gram.push(|panel| {
                     shape.features(observation, t as f64 / horizon as f64, panel);
                     panel.push(*y);
@@ -186,9 +210,20 @@ pub fn fit(targets: &[Target<'_>], n_input: usize, horizon: usize, stride: usize
         let shrunk: f64 = weights.iter().skip(1).map(|w| w * w).sum();
         let residual = square - dot(weights.as_slice(), right.as_slice()) / count - ridge * shrunk;
         let variance = square - mean * mean;
-        let explained_variance = if variance > 0.0 { 1.0 - residual / variance } else { 0.0 };
-        let report = FitReport { explained_variance, condition, n_sample: count as usize };
-        let baseline = Baseline { weights: weights.as_slice().to_vec(), ..shape.clone() };
+        let explained_variance = if variance > 1e-12 * square {
+            1.0 - residual / variance
+        } else {
+            0.0
+        };
+        let report = FitReport {
+            explained_variance,
+            condition,
+            n_sample: count as usize,
+        };
+        let baseline = Baseline {
+            weights: weights.as_slice().to_vec(),
+            ..shape.clone()
+        };
         baseline.is_sound(n_input).then_some((baseline, report))
     };
     if n_even.min(n_odd) < n {
@@ -197,7 +232,11 @@ pub fn fit(targets: &[Target<'_>], n_input: usize, horizon: usize, stride: usize
     let (all, report) = solve(&all, n_even + n_odd)?;
     let (from_even, _) = solve(&even, n_even)?;
     let (from_odd, _) = solve(&odd, n_odd)?;
-    Some(Fit { all, crossed: [from_odd, from_even], report })
+    Some(Fit {
+        all,
+        crossed: [from_odd, from_even],
+        report,
+    })
 }
 
 /// A weightless function that standardises as `targets` ask for.
@@ -229,8 +268,16 @@ fn standardise(targets: &[Target<'_>], n_input: usize) -> Baseline {
         .map(|(mean, square)| {
             let variance = square / count - mean * mean;
             // below the rounding of the sums the observation is a constant
-            if variance > 1e-12 * (1.0 + mean * mean) { variance.sqrt().recip() } else { 0.0 }
+            if variance > 1e-12 * (1.0 + mean * mean) {
+                variance.sqrt().recip()
+            } else {
+                0.0
+            }
         })
         .collect();
-    Baseline { mean, inverse_scale, weights: Vec::new() }
+    Baseline {
+        mean,
+        inverse_scale,
+        weights: Vec::new(),
+    }
 }

@@ -1,7 +1,7 @@
 //! The metric of the natural gradient and its inverse.
 //!
 //! For an affine Gaussian policy with state-independent σ the Fisher matrix is known but for the second moment of
-//! the score's features, C = E[ψψᵀ], where ψ = φ = (s, 1) for white noise (see [`crate::exploration`]):
+//! the score's features, `C = E[ψψᵀ]`, where ψ = φ = (s, 1) for white noise (see [`crate::exploration`]):
 //!
 //! ```text
 //! F = diag(1/σ²) ⊗ C  ⊕  2 I          (weights row by row; log σ)
@@ -29,10 +29,11 @@ pub enum FisherMode {
 
 /// A factored metric; maps gradients to natural gradients.
 pub struct Fisher {
-    mean: Vec<f64>,          // (n) of the observations
-    inverse_scale: Vec<f64>, // (n + 1)
+    mean: Vec<f64>,            // (n) of the observations
+    inverse_scale: Vec<f64>,   // (n + 1)
     correlation: DMatrix<f64>, // (n + 1 × n + 1) standardised second moment, undamped
-    sigma: Vec<f64>,         // (n_action)
+    sigma: Vec<f64>,           // (n_action)
+    damping: f64,
     factor: Factor,
 }
 
@@ -44,7 +45,7 @@ enum Factor {
 impl Fisher {
     /// Factor the exact metric.
     ///
-    /// `second_moment` is E[ψψᵀ], bias last. Returns `None` when it is not finite.
+    /// `second_moment` is `E[ψψᵀ]`, bias last. Returns `None` when it is not finite.
     pub fn exact(second_moment: &DMatrix<f64>, log_sigma: &[f64], damping: f64) -> Option<Self> {
         let (mean, inverse_scale, correlation) = standardise(second_moment);
         let n = correlation.nrows();
@@ -54,13 +55,20 @@ impl Fisher {
         }
         let factor = Factor::Exact(Cholesky::new(system)?);
         let sigma = log_sigma.iter().map(|l| l.exp()).collect();
-        Some(Self { mean, inverse_scale, correlation, sigma, factor })
+        Some(Self {
+            mean,
+            inverse_scale,
+            correlation,
+            sigma,
+            damping,
+            factor,
+        })
     }
 
     /// Factor the empirical metric.
     ///
-    /// `outer` is the mean of u uᵀ with u = (z_i ψ_j row by row, z_i² - 1): the score in units of σ. Returns `None`
-    /// when it is not finite.
+    /// `outer` is the mean of u uᵀ, where u is the score in units of σ: `z_i ψ_j` row by row, then `z_i² - 1`.
+    /// Returns `None` when it is not finite.
     pub fn empirical(
         outer: &DMatrix<f64>,
         second_moment: &DMatrix<f64>,
@@ -75,18 +83,33 @@ impl Fisher {
         for _ in 0..2 {
             for mut column in system.column_iter_mut() {
                 for action in 0..n_action {
-                    to_standard(&mean, &inverse_scale, &mut column.as_mut_slice()[action * width..][..width]);
+                    to_standard(
+                        &mean,
+                        &inverse_scale,
+                        &mut column.as_mut_slice()[action * width..][..width],
+                    );
                 }
             }
             system.transpose_mut();
         }
         // the diagonal of F̃ is 1 for weights and 2 for log σ
         for i in 0..n {
-            system[(i, i)] += if i < n_action * width { damping } else { 2.0 * damping };
+            system[(i, i)] += if i < n_action * width {
+                damping
+            } else {
+                2.0 * damping
+            };
         }
         let factor = Factor::Empirical(Cholesky::new(system)?);
         let sigma = log_sigma.iter().map(|l| l.exp()).collect();
-        Some(Self { mean, inverse_scale, correlation, sigma, factor })
+        Some(Self {
+            mean,
+            inverse_scale,
+            correlation,
+            sigma,
+            damping,
+            factor,
+        })
     }
 
     /// F⁻¹ g.
@@ -96,7 +119,7 @@ impl Fisher {
         let mut x = gradient.to_vec();
         // weights in units of σ, standardised
         for (row, sigma) in x[..n_weight].chunks_exact_mut(width).zip(&self.sigma) {
-            row.iter_mut().for_each(|value| *value *= sigma);
+            scale(row, *sigma);
             to_standard(&self.mean, &self.inverse_scale, row);
         }
         match &self.factor {
@@ -105,7 +128,7 @@ impl Fisher {
                     let solved = factor.solve(&DVector::from_column_slice(row));
                     row.copy_from_slice(solved.as_slice());
                 }
-                x[n_weight..].iter_mut().for_each(|value| *value /= 2.0);
+                x[n_weight..].iter_mut().for_each(|value| *value /= 2.0 * (1.0 + self.damping));
             }
             Factor::Empirical(factor) => {
                 let solved = factor.solve(&DVector::from_column_slice(&x));
@@ -114,7 +137,7 @@ impl Fisher {
         }
         for (row, sigma) in x[..n_weight].chunks_exact_mut(width).zip(&self.sigma) {
             from_standard(&self.mean, &self.inverse_scale, row);
-            row.iter_mut().for_each(|value| *value *= sigma);
+            scale(row, *sigma);
         }
         x
     }
@@ -123,9 +146,16 @@ impl Fisher {
     pub fn inner(&self, x: &[f64], y: &[f64], columns: std::ops::Range<usize>) -> f64 {
         let width = self.correlation.nrows();
         let scaled = |row: &[f64], j: usize| {
-            if self.inverse_scale[j] > 0.0 { row[j] / self.inverse_scale[j] } else { 0.0 }
+            if self.inverse_scale[j] > 0.0 {
+                row[j] / self.inverse_scale[j]
+            } else {
+                0.0
+            }
         };
-        let rows = x.chunks_exact(width).zip(y.chunks_exact(width)).zip(&self.sigma);
+        let rows = x
+            .chunks_exact(width)
+            .zip(y.chunks_exact(width))
+            .zip(&self.sigma);
         rows.map(|((x, y), sigma)| {
             let mut sum = 0.0;
             for i in columns.clone() {
@@ -139,7 +169,13 @@ impl Fisher {
     }
 }
 
-/// h ↦ T h for h = E[A z ψ]: freed of its part along the last feature and scaled; the last feature scaled alone.
+fn scale(row: &mut [f64], factor: f64) {
+    for value in row {
+        *value *= factor;
+    }
+}
+
+/// h ↦ T h for `h = E[A z ψ]`: freed of its part along the last feature and scaled; the last feature scaled alone.
 fn to_standard(mean: &[f64], inverse_scale: &[f64], row: &mut [f64]) {
     let last = row.len() - 1;
     for j in 0..last {
@@ -154,7 +190,11 @@ fn from_standard(mean: &[f64], inverse_scale: &[f64], row: &mut [f64]) {
         *value *= inverse;
     }
     let last = row.len() - 1;
-    let along: f64 = row[..last].iter().zip(mean).map(|(value, mean)| value * mean).sum();
+    let along: f64 = row[..last]
+        .iter()
+        .zip(mean)
+        .map(|(value, mean)| value * mean)
+        .sum();
     row[last] -= along;
 }
 
@@ -168,7 +208,11 @@ fn standardise(second_moment: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64
         .map(|j| {
             let variance = second_moment[(j, j)] - mean[j] * mean[j] * last;
             // below the rounding of the sums the observation is a constant
-            if variance > 1e-12 * (1.0 + mean[j] * mean[j]) * last { variance.sqrt().recip() } else { 0.0 }
+            if variance > 1e-12 * (1.0 + mean[j] * mean[j]) * last {
+                variance.sqrt().recip()
+            } else {
+                0.0
+            }
         })
         .collect();
     inverse_scale.push(last.sqrt().recip());

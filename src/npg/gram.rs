@@ -24,7 +24,11 @@ pub(crate) struct Gram {
 
 impl Gram {
     pub(crate) fn new(n: usize) -> Self {
-        Self { sum: DMatrix::zeros(n, n), panel: Vec::with_capacity(n * PANEL), count: 0 }
+        Self {
+            sum: DMatrix::zeros(n, n),
+            panel: Vec::with_capacity(n * PANEL),
+            count: 0,
+        }
     }
 
     /// Add one sample, which `fill` appends to the vector it is given.
@@ -65,7 +69,10 @@ impl Gram {
 }
 
 /// Sum over `items` in lanes: `work` handles the items of one lane in order; results come back in lane order.
-pub(crate) fn lanes<T: Sync, R: Send>(items: &[T], work: impl Fn(&mut dyn Iterator<Item = &T>) -> R + Sync) -> Vec<R> {
+pub(crate) fn lanes<T: Sync, R: Send>(
+    items: &[T],
+    work: impl Fn(&mut dyn Iterator<Item = &T>) -> R + Sync,
+) -> Vec<R> {
     (0..LANES)
         .into_par_iter()
         .with_max_len(1)
@@ -85,8 +92,13 @@ mod tests {
     #[test]
     fn equals_the_sum_of_outer_products() {
         let n = 130; // more than one block
-        let samples: Vec<Vec<f64>> =
-            (0..700).map(|k| (0..n).map(|i| f64::from((k * 31 + i * 17) % 23) - 11.0).collect()).collect();
+        let samples: Vec<Vec<f64>> = (0..700)
+            .map(|k| {
+                (0..n)
+                    .map(|i| f64::from((k * 31 + i * 17) % 23) - 11.0)
+                    .collect()
+            })
+            .collect();
         let mut gram = Gram::new(n as usize);
         let mut expected = DMatrix::<f64>::zeros(n as usize, n as usize);
         for sample in &samples {

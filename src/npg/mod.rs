@@ -20,18 +20,21 @@ pub mod advantage;
 pub mod baseline;
 pub mod fisher;
 mod gram;
+mod step;
+mod totals;
 
-use nalgebra::DMatrix;
+pub use step::kl_divergence;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::exploration::score_features;
 use crate::policy::AffineGaussian;
 use crate::rollout::Trajectory;
 use crate::task::ObservationGroup;
 use baseline::{Baseline, FitReport, Target};
 use fisher::{Fisher, FisherMode};
-use gram::Gram;
+use step::step;
+use totals::Totals;
 
 /// Which value function the advantages are computed with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,7 +66,8 @@ pub struct NpgConfig {
     pub fisher: FisherMode,
     /// damping of the standardised Fisher matrix, relative to its diagonal
     pub fisher_damping: f64,
-    /// advantages are clipped at this many standard deviations
+    /// advantages are clipped at this many standard deviations, and so are the targets of the value fit (not below 3
+    /// there); the standard deviations are those after clipping
     pub advantage_clip: f64,
     /// `crossed` or `previous`
     pub value_from: ValueFrom,
@@ -108,8 +112,12 @@ impl NpgConfig {
             return (self.step_size_delta, f64::INFINITY);
         }
         let share = (iteration as f64 / self.anneal_iterations as f64).min(1.0);
-        let delta = self.step_size_delta * (self.final_step_size_delta / self.step_size_delta).powf(share);
-        (delta, self.initial_log_sigma + share * (self.final_log_sigma - self.initial_log_sigma))
+        let delta =
+            self.step_size_delta * (self.final_step_size_delta / self.step_size_delta).powf(share);
+        (
+            delta,
+            self.initial_log_sigma + share * (self.final_log_sigma - self.initial_log_sigma),
+        )
     }
 
     /// Check all ranges; returns key, value and expectation of the first that is wrong.
@@ -118,12 +126,25 @@ impl NpgConfig {
     /// [`NpgError::Setting`].
     pub fn validate(&self) -> Result<(), NpgError> {
         let setting = |key, value: f64, ok: bool, expected| {
-            if ok { Ok(()) } else { Err(NpgError::Setting { key, value, expected }) }
+            if ok {
+                Ok(())
+            } else {
+                Err(NpgError::Setting {
+                    key,
+                    value,
+                    expected,
+                })
+            }
         };
         let unit = |x: f64| (0.0..=1.0).contains(&x);
         let positive = |x: f64| x.is_finite() && x > 0.0;
         setting("npg.discount", self.discount, unit(self.discount), "0 to 1")?;
-        setting("npg.gae_lambda", self.gae_lambda, unit(self.gae_lambda), "0 to 1")?;
+        setting(
+            "npg.gae_lambda",
+            self.gae_lambda,
+            unit(self.gae_lambda),
+            "0 to 1",
+        )?;
         for (key, value) in [
             ("npg.step_size_delta", self.step_size_delta),
             ("npg.final_step_size_delta", self.final_step_size_delta),
@@ -134,13 +155,30 @@ impl NpgConfig {
             setting(key, value, positive(value), "a positive number")?;
         }
         let rho = self.noise_correlation;
-        setting("npg.noise_correlation", rho, (0.0..1.0).contains(&rho), "at least 0 and below 1")?;
-        setting("npg.value_stride", self.value_stride as f64, self.value_stride > 0, "at least 1")?;
-        for (key, value) in
-            [("npg.initial_log_sigma", self.initial_log_sigma), ("npg.log_sigma_floor", self.log_sigma_floor)]
-        {
+        setting(
+            "npg.noise_correlation",
+            rho,
+            (0.0..1.0).contains(&rho),
+            "at least 0 and below 1",
+        )?;
+        setting(
+            "npg.value_stride",
+            self.value_stride as f64,
+            self.value_stride > 0,
+            "at least 1",
+        )?;
+        for (key, value) in [
+            ("npg.initial_log_sigma", self.initial_log_sigma),
+            ("npg.log_sigma_floor", self.log_sigma_floor),
+        ] {
             setting(key, value, (-20.0..=20.0).contains(&value), "-20 to 20")?;
         }
+        setting(
+            "npg.initial_log_sigma",
+            self.initial_log_sigma,
+            self.initial_log_sigma >= self.log_sigma_floor,
+            "at least `npg.log_sigma_floor`",
+        )?;
         Ok(())
     }
 }
@@ -187,23 +225,17 @@ pub struct UpdateReport {
     pub kl_predicted: f64,
     /// KL(old ‖ new) averaged over the batch, closed form
     pub kl_measured: f64,
-    /// cosine in the Fisher metric between the natural gradients of even and odd trajectories
+    /// cosine in the Fisher metric between the natural gradients of even and odd trajectories; not a number when one of
+    /// them is zero
     pub half_cosine: f64,
     /// the same, over the weights of each observation group alone
     pub group_cosines: Vec<(&'static str, f64)>,
-    /// standard deviation of the advantages before they are normalised
+    /// standard deviation of the advantages before they are normalised, outliers clipped
     pub advantage_sigma: f64,
     /// share of advantages that were clipped
     pub clipped_share: f64,
     /// quality of the value function; `None`: too few samples, the old one was kept
     pub value_fit: Option<FitReport>,
-}
-
-/// Sums over one lane of trajectories.
-struct Sums {
-    gradient: Vec<f64>,     // Σ A u, in units of σ
-    second: (DMatrix<f64>, usize), // Σ φφᵀ
-    outer: Option<DMatrix<f64>>,   // Σ u uᵀ
 }
 
 /// One update of `policy` and `baseline` from a batch.
@@ -218,9 +250,14 @@ pub fn update(
     groups: &[ObservationGroup],
     config: &NpgConfig,
 ) -> Result<UpdateReport, NpgError> {
-    let usable: Vec<&Trajectory> = batch.iter().filter(|t| t.diverged.is_none() && !t.is_empty()).collect();
+    let usable: Vec<&Trajectory> = batch
+        .iter()
+        .filter(|t| t.diverged.is_none() && !t.is_empty())
+        .collect();
     if usable.is_empty() {
-        return Err(NpgError::NoTrajectory { n_trajectory: batch.len() });
+        return Err(NpgError::NoTrajectory {
+            n_trajectory: batch.len(),
+        });
     }
 
     // value function and advantages
@@ -229,39 +266,20 @@ pub fn update(
     let (advantage_sigma, clipped_share) = normalise(&mut advantages, config.advantage_clip);
 
     // gradient and metric
-    let n_weight = policy.weights().len();
-    let samples: Vec<(&Trajectory, &[f64])> =
-        usable.iter().copied().zip(advantages.iter().map(Vec::as_slice)).collect();
-    let sums = gram::lanes(&samples, |lane| sum_lane(policy, lane, config));
-    let n_sample: usize = sums.iter().map(|s| s.second.1).sum();
-    let scale = 1.0 / n_sample as f64;
-    let mut second = DMatrix::zeros(policy.n_observation() + 1, policy.n_observation() + 1);
-    let mut outer: Option<DMatrix<f64>> = None;
-    let mut halves = [vec![0.0; policy.n_parameter()], vec![0.0; policy.n_parameter()]];
-    for (lane, sum) in sums.into_iter().enumerate() {
-        second += sum.second.0 * scale;
-        for (total, value) in halves[lane % 2].iter_mut().zip(&sum.gradient) {
-            *total += value * scale;
-        }
-        if let Some(lane_outer) = sum.outer {
-            match &mut outer {
-                Some(total) => *total += lane_outer * scale,
-                None => outer = Some(lane_outer * scale),
-            }
-        }
-    }
-    gram::symmetrise(&mut second);
-    // from units of σ to weights
-    let sigma: Vec<f64> = policy.log_sigma().iter().map(|l| l.exp()).collect();
-    for half in &mut halves {
-        for (row, sigma) in half[..n_weight].chunks_exact_mut(policy.n_observation() + 1).zip(&sigma) {
-            row.iter_mut().for_each(|value| *value /= sigma);
-        }
-    }
+    let samples: Vec<(&Trajectory, &[f64])> = usable
+        .iter()
+        .copied()
+        .zip(advantages.iter().map(Vec::as_slice))
+        .collect();
+    let Totals {
+        n_sample,
+        halves,
+        second,
+        outer,
+    } = Totals::of(policy, &samples, config);
     let fisher = match outer {
         None => Fisher::exact(&second, policy.log_sigma(), config.fisher_damping),
-        Some(mut outer) => {
-            gram::symmetrise(&mut outer);
+        Some(outer) => {
             Fisher::empirical(&outer, &second, policy.log_sigma(), config.fisher_damping)
         }
     }
@@ -269,11 +287,21 @@ pub fn update(
 
     // the step
     let natural = [fisher.solve(&halves[0]), fisher.solve(&halves[1])];
-    let gradient: Vec<f64> = halves[0].iter().zip(&halves[1]).map(|(a, b)| a + b).collect();
-    let direction: Vec<f64> = natural[0].iter().zip(&natural[1]).map(|(a, b)| a + b).collect();
+    let gradient: Vec<f64> = halves[0]
+        .iter()
+        .zip(&halves[1])
+        .map(|(a, b)| a + b)
+        .collect();
+    let direction: Vec<f64> = natural[0]
+        .iter()
+        .zip(&natural[1])
+        .map(|(a, b)| a + b)
+        .collect();
     let gradient_norm2 = dot(&gradient, &direction);
     if !(gradient_norm2.is_finite() && gradient_norm2 > 0.0) {
-        return Err(NpgError::Gradient { value: gradient_norm2 });
+        return Err(NpgError::Gradient {
+            value: gradient_norm2,
+        });
     }
     let cosine = |columns: std::ops::Range<usize>| {
         let inner = |i: usize, j: usize| fisher.inner(&natural[i], &natural[j], columns.clone());
@@ -287,7 +315,10 @@ pub fn update(
         kl_predicted: 0.5 * config.step_size_delta,
         kl_measured,
         half_cosine: cosine(0..policy.n_observation()),
-        group_cosines: groups.iter().map(|g| (g.name, cosine(g.columns.clone()))).collect(),
+        group_cosines: groups
+            .iter()
+            .map(|g| (g.name, cosine(g.columns.clone())))
+            .collect(),
         advantage_sigma,
         clipped_share,
         value_fit: fit.as_ref().map(|f| f.report),
@@ -307,19 +338,34 @@ fn fit_baseline(
     config: &NpgConfig,
 ) -> Option<baseline::Fit> {
     let n_input = baseline.n_input();
-    let returns = per_trajectory(usable, |trajectory| {
+    let mut returns = per_trajectory(usable, |trajectory| {
         let (mut last, mut returns) = (Vec::new(), Vec::new());
         let end = &trajectory.value_inputs[trajectory.len() * n_input..];
         baseline.values(end, trajectory.len(), horizon, &mut last);
         advantage::returns(&trajectory.rewards, last[0], config.discount, &mut returns);
         returns
     });
+    // the object flung off the table once must not bend the value of every other state
+    let clip = config.advantage_clip.max(advantage::MIN_CLIP);
+    let (mean, sigma) = advantage::robust_moments(&returns, clip);
+    for value in returns.iter_mut().flatten() {
+        *value = value.max(mean - clip * sigma).min(mean + clip * sigma);
+    }
     let targets: Vec<Target<'_>> = usable
         .iter()
         .zip(&returns)
-        .map(|(trajectory, returns)| Target { inputs: &trajectory.value_inputs, returns })
+        .map(|(trajectory, returns)| Target {
+            inputs: &trajectory.value_inputs,
+            returns,
+        })
         .collect();
-    baseline::fit(&targets, n_input, horizon, config.value_stride, config.value_ridge)
+    baseline::fit(
+        &targets,
+        n_input,
+        horizon,
+        config.value_stride,
+        config.value_ridge,
+    )
 }
 
 /// Generalised advantages of every trajectory.
@@ -359,9 +405,7 @@ fn per_trajectory<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync +
 /// the clipped share.
 fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
     let count = advantages.iter().map(Vec::len).sum::<usize>() as f64;
-    let mean = advantages.iter().flatten().sum::<f64>() / count;
-    let variance = advantages.iter().flatten().map(|a| (a - mean).powi(2)).sum::<f64>() / count;
-    let sigma = variance.sqrt();
+    let (mean, sigma) = advantage::robust_moments(advantages, clip);
     let inverse = if sigma > 0.0 { 1.0 / sigma } else { 0.0 };
     let mut clipped = 0_usize;
     for a in advantages.iter_mut().flatten() {
@@ -374,88 +418,9 @@ fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
     (sigma, clipped as f64 / count)
 }
 
-fn sum_lane(
-    policy: &AffineGaussian,
-    lane: &mut dyn Iterator<Item = &(&Trajectory, &[f64])>,
-    config: &NpgConfig,
-) -> Sums {
-    let (n, n_action) = (policy.n_observation(), policy.n_action());
-    let width = n + 1;
-    let n_weight = width * n_action;
-    let mut gradient = vec![0.0; policy.n_parameter()];
-    let mut second = Gram::new(width);
-    let mut outer = (config.fisher == FisherMode::Empirical).then(|| Gram::new(policy.n_parameter()));
-    let mut features = Vec::with_capacity(width); // ψ
-    for (trajectory, advantages) in lane {
-        let observations: Vec<&[f64]> = trajectory.observations.chunks_exact(n).collect();
-        let noise = trajectory.noise.chunks_exact(n_action);
-        for (t, (noise, advantage)) in noise.zip(*advantages).enumerate() {
-            features.clear();
-            let previous = t.checked_sub(1).map(|p| observations[p]);
-            score_features(observations[t], previous, config.noise_correlation, &mut features);
-            for (row, z) in gradient[..n_weight].chunks_exact_mut(width).zip(noise) {
-                let factor = advantage * z;
-                for (sum, feature) in row.iter_mut().zip(&features) {
-                    *sum += factor * feature;
-                }
-            }
-            for (sum, z) in gradient[n_weight..].iter_mut().zip(noise) {
-                *sum += advantage * (z * z - 1.0);
-            }
-            second.push(|panel| panel.extend_from_slice(&features));
-            if let Some(outer) = &mut outer {
-                outer.push(|panel| {
-                    for z in noise {
-                        panel.extend(features.iter().map(|feature| z * feature));
-                    }
-                    panel.extend(noise.iter().map(|z| z * z - 1.0));
-                });
-            }
-        }
-    }
-    Sums { gradient, second: second.finish(), outer: outer.map(|gram| gram.finish().0) }
-}
-
-/// The policy one normalised step along `direction`, and KL(old ‖ new). The step is halved while the measured KL is
-/// over twice the predicted one, which the change of σ can cause.
-fn step(
-    policy: &AffineGaussian,
-    direction: &[f64],
-    gradient_norm2: f64,
-    second: &DMatrix<f64>,
-    config: &NpgConfig,
-) -> (f64, AffineGaussian) {
-    let theta = policy.parameters();
-    let mut length = (config.step_size_delta / gradient_norm2).sqrt();
-    loop {
-        let mut next = policy.clone();
-        let moved: Vec<f64> = theta.iter().zip(direction).map(|(t, d)| t + length * d).collect();
-        if next.set_parameters(&moved).is_ok() {
-            next.raise_log_sigma(config.log_sigma_floor);
-            let kl = kl_divergence(policy, &next, second);
-            if kl <= config.step_size_delta {
-                return (kl, next);
-            }
-        }
-        length *= 0.5;
-    }
-}
-
-/// KL(old ‖ new) of one action given the past, averaged over samples; `second` is the second moment E[ψψᵀ] of the
-/// score's features.
-pub fn kl_divergence(old: &AffineGaussian, new: &AffineGaussian, second: &DMatrix<f64>) -> f64 {
-    let width = second.nrows();
-    let rows = old.weights().chunks_exact(width).zip(new.weights().chunks_exact(width));
-    let sigmas = old.log_sigma().iter().zip(new.log_sigma());
-    rows.zip(sigmas)
-        .map(|((a, b), (l, m))| {
-            let change = nalgebra::DVector::from_iterator(width, b.iter().zip(a).map(|(b, a)| b - a));
-            let shift = change.dot(&(second * &change)); // E[(μ' - μ)²]
-            m - l + ((2.0 * l).exp() + shift) / (2.0 * (2.0 * m).exp()) - 0.5
-        })
-        .sum()
-}
-
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
+
+#[cfg(test)]
+mod tests;

@@ -35,7 +35,9 @@ pub enum TaskError {
         expected: &'static str,
     },
     /// No start state without contact was found.
-    #[error("no start state clear of the object in {tries} draws; are the start ranges of the model right?")]
+    #[error(
+        "no start state clear of the object in {tries} draws; are the start ranges of the model right?"
+    )]
     Start {
         /// number of draws
         tries: usize,

@@ -9,7 +9,7 @@
 //! The squared torque is that of the torques the motors give, which are limited. Charging for what the policy asks for
 //! instead makes the cost of one trajectory that runs away, a thousand times that of all others, decide the update.
 //!
-//! The paper writes the fingertip term as ‖f_i − O_xy‖. It is read here as the distance in space to the object's
+//! The paper writes the fingertip term as `‖f_i − O_xy‖`. It is read here as the distance in space to the object's
 //! centre ([`TipDistance::Space`]): taken in the plane only ([`TipDistance::Plane`], selectable), a finger is paid for
 //! hovering above the cylinder, and policies learn to.
 //!
@@ -93,16 +93,16 @@ impl PushConfig {
 #[derive(Debug, Clone)]
 pub struct PushTask {
     config: PushConfig,
-    tips: [usize; N_FINGER],         // site ids
-    tip_geoms: [usize; N_FINGER],    // geom ids
-    object_geom: usize,              // geom id
-    object_qpos: usize,              // address of the free joint in qpos
-    object_dof: usize,               // address of the free joint in qvel
-    goal: usize,                     // mocap index
-    start_low: Vec<f64>,             // (9) motor coordinates, rad
-    start_high: Vec<f64>,            // (9)
-    loop_rod: [f64; 3],              // rod = a upper + b crank + c
-    loop_forearm: [f64; 3],          // forearm likewise
+    tips: [usize; N_FINGER],      // site ids
+    tip_geoms: [usize; N_FINGER], // geom ids
+    object_geom: usize,           // geom id
+    object_qpos: usize,           // address of the free joint in qpos
+    object_dof: usize,            // address of the free joint in qvel
+    goal: usize,                  // mocap index
+    start_low: Vec<f64>,          // (9) motor coordinates, rad
+    start_high: Vec<f64>,         // (9)
+    loop_rod: [f64; 3],           // rod = a upper + b crank + c
+    loop_forearm: [f64; 3],       // forearm likewise
 }
 
 impl PushTask {
@@ -115,9 +115,14 @@ impl PushTask {
         let fail = |reason: String| Err(TaskError::Model { reason });
         for (index, name) in joint_names().enumerate() {
             let id = model.id(ObjectKind::Joint, &name)?;
-            let (qpos, dof) = (model.jnt_qposadr()[id] as usize, model.jnt_dofadr()[id] as usize);
+            let (qpos, dof) = (
+                model.jnt_qposadr()[id] as usize,
+                model.jnt_dofadr()[id] as usize,
+            );
             if qpos != index || dof != index {
-                return fail(format!("joint `{name}` is at qpos[{qpos}], qvel[{dof}], expected {index} in both"));
+                return fail(format!(
+                    "joint `{name}` is at qpos[{qpos}], qvel[{dof}], expected {index} in both"
+                ));
             }
         }
         if model.nu() != N_MOTOR {
@@ -186,7 +191,13 @@ impl PushTask {
             });
             let [turret, upper, crank] = motor;
             let close = |[a, b, c]: [f64; 3]| a * upper + b * crank + c;
-            let joints = [turret, upper, crank, close(self.loop_rod), close(self.loop_forearm)];
+            let joints = [
+                turret,
+                upper,
+                crank,
+                close(self.loop_rod),
+                close(self.loop_forearm),
+            ];
             qpos[finger * JOINTS.len()..][..JOINTS.len()].copy_from_slice(&joints);
         }
     }
@@ -208,9 +219,14 @@ fn joint_names() -> impl Iterator<Item = String> {
 /// A `<numeric>` of the model that must have `length` values.
 fn numeric(model: &Model, name: &str, length: usize) -> Result<Vec<f64>, TaskError> {
     let id = model.id(ObjectKind::Numeric, name)?;
-    let (start, size) = (model.numeric_adr()[id] as usize, model.numeric_size()[id] as usize);
+    let (start, size) = (
+        model.numeric_adr()[id] as usize,
+        model.numeric_size()[id] as usize,
+    );
     if size != length {
-        return Err(TaskError::Model { reason: format!("numeric `{name}` has {size} values, expected {length}") });
+        return Err(TaskError::Model {
+            reason: format!("numeric `{name}` has {size} values, expected {length}"),
+        });
     }
     Ok(model.numeric_data()[start..start + size].to_vec())
 }
@@ -225,7 +241,11 @@ impl Task for PushTask {
     }
 
     fn observation_names(&self) -> Vec<String> {
-        let axes = |body: &'static str| ["x", "y", "z"].into_iter().map(move |axis| format!("{body}_{axis}"));
+        let axes = |body: &'static str| {
+            ["x", "y", "z"]
+                .into_iter()
+                .map(move |axis| format!("{body}_{axis}"))
+        };
         joint_names()
             .map(|name| format!("{name}_pos"))
             .chain(joint_names().map(|name| format!("{name}_vel")))
@@ -235,11 +255,16 @@ impl Task for PushTask {
     }
 
     fn action_names(&self) -> Vec<String> {
-        (0..N_FINGER).flat_map(|finger| (1..=3).map(move |motor| format!("p{finger}_m{motor}"))).collect()
+        (0..N_FINGER)
+            .flat_map(|finger| (1..=3).map(move |motor| format!("p{finger}_m{motor}")))
+            .collect()
     }
 
     fn observation_groups(&self) -> Vec<ObservationGroup> {
-        let group = |name, start, length| ObservationGroup { name, columns: start..start + length };
+        let group = |name, start, length| ObservationGroup {
+            name,
+            columns: start..start + length,
+        };
         vec![
             group("joint_position", 0, N_JOINT),
             group("joint_velocity", N_JOINT, N_JOINT),
@@ -250,6 +275,8 @@ impl Task for PushTask {
 
     fn start(&self, data: &mut Data, rng: &mut Stream) -> Result<(), TaskError> {
         for _ in 0..START_TRIES {
+            // a rejected state may have overfilled a buffer; that says nothing about the next one
+            data.clear_warnings();
             self.draw_joints(data, rng);
             self.new_goal(data, rng)?;
             if !self.touches_object(data) {

@@ -36,8 +36,12 @@ mod tests {
     fn has_no_jump() {
         let step = 1e-4;
         for k in 0..40_000 {
-            let ([x0, y0], [x1, y1]) = (target(f64::from(k) * step), target(f64::from(k + 1) * step));
-            assert!((x1 - x0).hypot(y1 - y0) < 1.1 * RADIUS_M * std::f64::consts::PI * step + 0.02 * step + 1e-12);
+            let ([x0, y0], [x1, y1]) =
+                (target(f64::from(k) * step), target(f64::from(k + 1) * step));
+            assert!(
+                (x1 - x0).hypot(y1 - y0)
+                    < 1.1 * RADIUS_M * std::f64::consts::PI * step + 0.02 * step + 1e-12
+            );
         }
     }
 }

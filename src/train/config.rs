@@ -20,7 +20,7 @@ pub struct SettingError {
 }
 
 /// A whole training run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
     /// rollouts and schedule
@@ -89,17 +89,6 @@ impl Default for ScheduleConfig {
     }
 }
 
-impl Default for TrainConfig {
-    fn default() -> Self {
-        Self {
-            train: ScheduleConfig::default(),
-            task: PushConfig::default(),
-            npg: NpgConfig::default(),
-            randomise: Vec::new(),
-        }
-    }
-}
-
 impl TrainConfig {
     /// Check every range.
     ///
@@ -108,23 +97,48 @@ impl TrainConfig {
     pub fn validate(&self) -> Result<(), SettingError> {
         let train = &self.train;
         let check = |key, value: String, ok: bool, expected| {
-            if ok { Ok(()) } else { Err(SettingError { key, value, expected }) }
+            if ok {
+                Ok(())
+            } else {
+                Err(SettingError {
+                    key,
+                    value,
+                    expected,
+                })
+            }
         };
-        for (key, value) in
-            [("train.trajectory_s", train.trajectory_s), ("train.timestep_s", train.timestep_s)]
-        {
-            check(key, value.to_string(), value.is_finite() && value > 0.0, "a positive number")?;
+        for (key, value) in [
+            ("train.trajectory_s", train.trajectory_s),
+            ("train.timestep_s", train.timestep_s),
+        ] {
+            check(
+                key,
+                value.to_string(),
+                value.is_finite() && value > 0.0,
+                "a positive number",
+            )?;
         }
         for (key, value) in [
             ("train.object_mass_sigma_kg", train.object_mass_sigma_kg),
             ("train.base_sigma_m", train.base_sigma_m),
         ] {
-            check(key, value.to_string(), value.is_finite() && value >= 0.0, "a number of at least 0")?;
+            check(
+                key,
+                value.to_string(),
+                value.is_finite() && value >= 0.0,
+                "a number of at least 0",
+            )?;
         }
-        for (key, value) in
-            [("train.continued_share", train.continued_share), ("train.good_share", train.good_share)]
-        {
-            check(key, value.to_string(), (0.0..=1.0).contains(&value), "0 to 1")?;
+        for (key, value) in [
+            ("train.continued_share", train.continued_share),
+            ("train.good_share", train.good_share),
+        ] {
+            check(
+                key,
+                value.to_string(),
+                (0.0..=1.0).contains(&value),
+                "0 to 1",
+            )?;
         }
         for (key, value) in [
             ("train.trajectories", train.trajectories),
@@ -132,20 +146,44 @@ impl TrainConfig {
             ("train.evaluation_rollouts", train.evaluation_rollouts),
             ("train.checkpoint_every", train.checkpoint_every as usize),
         ] {
-            check(key, value.to_string(), (1..=10_000_000).contains(&value), "1 to 10000000")?;
+            check(
+                key,
+                value.to_string(),
+                (1..=10_000_000).contains(&value),
+                "1 to 10000000",
+            )?;
         }
         if let Some(mass) = train.object_mass_kg {
-            check("train.object_mass_kg", mass.to_string(), mass.is_finite() && mass > 0.0, "a positive number")?;
+            check(
+                "train.object_mass_kg",
+                mass.to_string(),
+                mass.is_finite() && mass > 0.0,
+                "a positive number",
+            )?;
         }
         check(
             "train.trajectory_s",
             train.trajectory_s.to_string(),
-            (1.0..=1e6).contains(&(train.trajectory_s / (train.timestep_s * train.control_hold as f64)).round()),
+            (1.0..=1e6).contains(
+                &(train.trajectory_s / (train.timestep_s * train.control_hold as f64)).round(),
+            ),
             "at least one control step (timestep_s × control_hold) and at most a million",
         )?;
         self.npg.validate().map_err(|error| match error {
-            NpgError::Setting { key, value, expected } => SettingError { key, value: value.to_string(), expected },
-            other => SettingError { key: "npg", value: other.to_string(), expected: "valid settings" },
+            NpgError::Setting {
+                key,
+                value,
+                expected,
+            } => SettingError {
+                key,
+                value: value.to_string(),
+                expected,
+            },
+            other => SettingError {
+                key: "npg",
+                value: other.to_string(),
+                expected: "valid settings",
+            },
         })
     }
 
@@ -158,7 +196,11 @@ impl TrainConfig {
     /// All rules of the ensemble: bases, object mass, and those of the configuration.
     pub fn rules(&self) -> Vec<Rule> {
         let train = &self.train;
-        let mut rules = ensemble_rules(train.base_sigma_m, train.object_mass_kg, train.object_mass_sigma_kg);
+        let mut rules = ensemble_rules(
+            train.base_sigma_m,
+            train.object_mass_kg,
+            train.object_mass_sigma_kg,
+        );
         rules.extend(self.randomise.iter().cloned());
         rules
     }
@@ -168,13 +210,28 @@ impl TrainConfig {
 pub fn ensemble_rules(base_sigma_m: f64, mass_kg: Option<f64>, mass_sigma_kg: f64) -> Vec<Rule> {
     let mut rules = Vec::new();
     if let Some(mass) = mass_kg {
-        rules.push(Rule::new("body/object", "mass", &[], Distribution::Fixed(mass)));
+        rules.push(Rule::new(
+            "body/object",
+            "mass",
+            &[],
+            Distribution::Fixed(mass),
+        ));
     }
     if mass_sigma_kg > 0.0 {
-        rules.push(Rule::new("body/object", "mass", &[], Distribution::Normal(mass_sigma_kg)));
+        rules.push(Rule::new(
+            "body/object",
+            "mass",
+            &[],
+            Distribution::Normal(mass_sigma_kg),
+        ));
     }
     if base_sigma_m > 0.0 {
-        rules.push(Rule::new("body/p?_base", "pos", &[0, 1], Distribution::Normal(base_sigma_m)));
+        rules.push(Rule::new(
+            "body/p?_base",
+            "pos",
+            &[0, 1],
+            Distribution::Normal(base_sigma_m),
+        ));
     }
     rules
 }

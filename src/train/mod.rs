@@ -17,7 +17,9 @@ use crate::npg::baseline::Baseline;
 use crate::npg::{self, NpgConfig, NpgError, UpdateReport};
 use crate::policy::{AffineGaussian, PolicyError};
 use crate::randomise::{RandomiseError, Randomiser};
-use crate::rollout::{BatchRequest, Diverged, RolloutConfig, RolloutError, Sampler, Start, Trajectory};
+use crate::rollout::{
+    BatchRequest, Diverged, RolloutConfig, RolloutError, Sampler, Start, Trajectory,
+};
 use crate::task::push::PushTask;
 use crate::task::{ObservationGroup, Task, TaskError};
 use config::{SettingError, TrainConfig};
@@ -141,14 +143,22 @@ impl Trainer {
             control_hold: config.train.control_hold,
             noise_correlation: config.npg.noise_correlation,
         };
-        let sampler =
-            Sampler::new(&training_model, Arc::clone(&task) as Arc<dyn Task>, randomiser, rollout, threads)?;
+        let sampler = Sampler::new(
+            &training_model,
+            Arc::clone(&task) as Arc<dyn Task>,
+            randomiser,
+            rollout,
+            threads,
+        )?;
         // the true mass, whatever mass is trained with; the bases are as uncertain as in training
         let rules = config::ensemble_rules(config.train.base_sigma_m, None, 0.0);
         let evaluation_randomiser = Randomiser::new(&model, &rules)?;
-        let policy =
-            AffineGaussian::zeros(task.n_observation(), task.n_action(), config.npg.initial_log_sigma)
-                .with_names(task.observation_names(), task.action_names());
+        let policy = AffineGaussian::zeros(
+            task.n_observation(),
+            task.n_action(),
+            config.npg.initial_log_sigma,
+        )
+        .with_names(task.observation_names(), task.action_names());
         let state = Checkpoint {
             iteration: 0,
             policy,
@@ -176,9 +186,13 @@ impl Trainer {
     /// # Errors
     /// When it does not fit the task or holds a number that is not finite; the trainer is then unchanged.
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Result<(), TrainError> {
-        checkpoint.policy.check(self.task.n_observation(), self.task.n_action())?;
+        checkpoint
+            .policy
+            .check(self.task.n_observation(), self.task.n_action())?;
         if !checkpoint.baseline.is_sound(self.task.n_value_input()) {
-            return Err(TrainError::Checkpoint("`baseline` has a wrong length or a number that is not finite".into()));
+            return Err(TrainError::Checkpoint(
+                "`baseline` has a wrong length or a number that is not finite".into(),
+            ));
         }
         let (nq, nv) = (self.model.nq(), self.model.nv());
         for (index, start) in checkpoint.pool.iter().enumerate() {
@@ -208,6 +222,12 @@ impl Trainer {
         &self.sampler
     }
 
+    /// Breakdowns of the last batch that no record has handed out: after [`Trainer::advance`] failed because every
+    /// trajectory diverged, all of them.
+    pub fn unreported_breakdowns(&self) -> impl Iterator<Item = &Diverged> {
+        self.batch.iter().filter_map(|t| t.diverged.as_ref())
+    }
+
     /// Make one iteration.
     ///
     /// # Errors
@@ -219,8 +239,13 @@ impl Trainer {
 
         // this iteration's step length and exploration
         let (delta, ceiling) = self.config.npg.annealed(self.state.iteration);
-        self.state.policy.lower_log_sigma(ceiling.max(self.config.npg.log_sigma_floor));
-        let npg_config = NpgConfig { step_size_delta: delta, ..self.config.npg.clone() };
+        self.state
+            .policy
+            .lower_log_sigma(ceiling.max(self.config.npg.log_sigma_floor));
+        let npg_config = NpgConfig {
+            step_size_delta: delta,
+            ..self.config.npg.clone()
+        };
 
         // trajectories of the current policy
         let request = BatchRequest {
@@ -230,17 +255,24 @@ impl Trainer {
             pool: &self.state.pool,
             pool_share: train.continued_share,
         };
-        self.sampler.sample(&self.state.policy, &request, &mut self.batch)?;
+        self.sampler
+            .sample(&self.state.policy, &request, &mut self.batch)?;
         let rollout_s = begin.elapsed().as_secs_f64();
 
         // policy and value function
         let update_begin = Instant::now();
         let (policy, baseline) = (&mut self.state.policy, &mut self.state.baseline);
         let horizon = self.sampler.config().horizon;
-        let update = self
-            .sampler
-            .threads()
-            .install(|| npg::update(policy, baseline, &self.batch, horizon, &self.groups, &npg_config));
+        let update = self.sampler.threads().install(|| {
+            npg::update(
+                policy,
+                baseline,
+                &self.batch,
+                horizon,
+                &self.groups,
+                &npg_config,
+            )
+        });
         let update = match update {
             Err(error @ NpgError::NoTrajectory { .. }) => return Err(error.into()),
             other => other.map_err(|error| error.to_string()),
@@ -251,14 +283,23 @@ impl Trainer {
         let good: Vec<&Trajectory> = self.batch.iter().filter(|t| t.diverged.is_none()).collect();
         self.state.pool = start_pool(&good, train.good_share);
 
-        let steps: usize = self.batch.iter().map(|t| t.len() + usize::from(t.diverged.is_some())).sum();
+        let steps: usize = self
+            .batch
+            .iter()
+            .map(|t| t.len() + usize::from(t.diverged.is_some()))
+            .sum();
         let physics_steps = (steps * train.control_hold) as u64;
         let n = good.len().max(1) as f64;
         let mean = |f: &dyn Fn(&Trajectory) -> f64| good.iter().map(|t| f(t)).sum::<f64>() / n;
         let reward = mean(&Trajectory::mean_reward);
         let distance_cm = 100.0 * mean(&|t| t.distances_m.iter().sum::<f64>() / t.len() as f64);
-        let final_distance_cm = 100.0 * mean(&|t| t.distances_m.last().copied().unwrap_or(f64::NAN));
-        let diverged: Vec<Diverged> = self.batch.iter_mut().filter_map(|t| t.diverged.take()).collect();
+        let final_distance_cm =
+            100.0 * mean(&|t| t.distances_m.last().copied().unwrap_or(f64::NAN));
+        let diverged: Vec<Diverged> = self
+            .batch
+            .iter_mut()
+            .filter_map(|t| t.diverged.take())
+            .collect();
 
         self.state.iteration += 1;
         self.state.physics_steps += physics_steps;
@@ -267,11 +308,20 @@ impl Trainer {
         // evaluation of the mean policy
         let evaluate_begin = Instant::now();
         let every = train.evaluate_every;
-        let due = every > 0 && (self.state.iteration.is_multiple_of(every) || self.state.iteration == train.iterations);
-        let evaluation = if due { Some(self.evaluate(EVALUATION_SEED)?) } else { None };
+        let due = every > 0
+            && (self.state.iteration.is_multiple_of(every)
+                || self.state.iteration == train.iterations);
+        let evaluation = if due {
+            Some(self.evaluate(EVALUATION_SEED)?)
+        } else {
+            None
+        };
         let is_best = evaluation.as_ref().is_some_and(|e| {
             e.rollouts.iter().all(|r| r.diverged.is_none())
-                && self.state.best_distance_cm.is_none_or(|best| e.mean_distance_cm < best)
+                && self
+                    .state
+                    .best_distance_cm
+                    .is_none_or(|best| e.mean_distance_cm < best)
         });
         if let (true, Some(evaluation)) = (is_best, &evaluation) {
             self.state.best_distance_cm = Some(evaluation.mean_distance_cm);
@@ -304,9 +354,18 @@ impl Trainer {
     /// # Errors
     /// When the engine fails.
     pub fn evaluate(&self, seed: u64) -> Result<Evaluation, TrainError> {
-        let request = EvaluationRequest { n_rollout: self.config.train.evaluation_rollouts, seed };
+        let request = EvaluationRequest {
+            n_rollout: self.config.train.evaluation_rollouts,
+            seed,
+        };
         Ok(self.sampler.threads().install(|| {
-            evaluate::evaluate(&self.model, &self.task, &self.evaluation_randomiser, &self.state.policy, request)
+            evaluate::evaluate(
+                &self.model,
+                &self.task,
+                &self.evaluation_randomiser,
+                &self.state.policy,
+                request,
+            )
         })?)
     }
 }
@@ -316,8 +375,16 @@ fn start_pool(trajectories: &[&Trajectory], share: f64) -> Vec<Start> {
     let mut rewards: Vec<f64> = trajectories.iter().map(|t| t.mean_reward()).collect();
     rewards.sort_by(f64::total_cmp);
     let n_good = (share * rewards.len() as f64).round() as usize;
-    let Some(threshold) = rewards.len().checked_sub(n_good).and_then(|i| rewards.get(i)) else {
+    let Some(threshold) = rewards
+        .len()
+        .checked_sub(n_good)
+        .and_then(|i| rewards.get(i))
+    else {
         return Vec::new();
     };
-    trajectories.iter().filter(|t| t.mean_reward() >= *threshold).filter_map(|t| t.visited.clone()).collect()
+    trajectories
+        .iter()
+        .filter(|t| t.mean_reward() >= *threshold)
+        .filter_map(|t| t.visited.clone())
+        .collect()
 }

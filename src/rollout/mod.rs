@@ -8,15 +8,18 @@
 //! `mj_step`: the same computation in the same order, cut at the point where positions and velocities have just been
 //! evaluated, so that observation and reward always belong to the current state.
 
+mod trajectory;
+
+pub use trajectory::{Diverged, ModelDraw, Start, Trajectory};
+
 use std::sync::{Arc, Mutex};
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::exploration::Exploration;
 use crate::mujoco::{Data, Model, MujocoError};
-use crate::policy::AffineGaussian;
+use crate::policy::{AffineGaussian, PolicyError};
 use crate::randomise::{RandomiseError, Randomiser};
 use crate::rng::{self, Purpose};
 use crate::task::{Task, TaskError};
@@ -34,6 +37,15 @@ pub enum RolloutError {
     /// A model could not be drawn.
     #[error(transparent)]
     Randomise(#[from] RandomiseError),
+    /// The policy does not fit the task.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// A recorded breakdown does not belong to this task and model.
+    #[error("the dump does not fit the model: {reason}")]
+    Dump {
+        /// which part, and how
+        reason: String,
+    },
     /// The threads could not be made.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
@@ -42,26 +54,6 @@ pub enum RolloutError {
         /// the system's reason
         reason: String,
     },
-}
-
-/// The stream a rollout's model was drawn from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ModelDraw {
-    /// iteration of the draw
-    pub iteration: u64,
-    /// trajectory index within it
-    pub index: u64,
-}
-
-/// A state worth starting from again, with the model it occurred in.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Start {
-    /// the model: a state with contacts is only sound in the model it came from
-    pub model: ModelDraw,
-    /// (nq)
-    pub qpos: Vec<f64>,
-    /// (nv)
-    pub qvel: Vec<f64>,
 }
 
 /// Settings of a batch.
@@ -73,60 +65,6 @@ pub struct RolloutConfig {
     pub control_hold: usize,
     /// correlation of the exploration noise between control steps
     pub noise_correlation: f64,
-}
-
-/// One rollout. Rows are control steps; `T` of them.
-#[derive(Debug, Clone, Default)]
-pub struct Trajectory {
-    /// (T × n_observation)
-    pub observations: Vec<f64>,
-    /// (T × n_action) standard normal numbers behind the actions
-    pub noise: Vec<f64>,
-    /// (T × n_action)
-    pub actions: Vec<f64>,
-    /// (T)
-    pub rewards: Vec<f64>,
-    /// (T + 1 × n_value_input) what the value function sees; the last row is the true next state of the truncated
-    /// trajectory
-    pub value_inputs: Vec<f64>,
-    /// (T) task error after each step, m
-    pub distances_m: Vec<f64>,
-    /// a state on the way, drawn uniformly over time
-    pub visited: Option<Start>,
-    /// set when the simulation broke down; such a trajectory takes no part in learning
-    pub diverged: Option<Diverged>,
-}
-
-/// What is needed to replay a simulation that broke down.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Diverged {
-    /// which warning or non-finite quantity
-    pub reason: String,
-    /// control step at which it was seen
-    pub step: usize,
-    /// state and model at the beginning
-    pub start: Start,
-    /// (nmocap × 3)
-    pub mocap_pos: Vec<f64>,
-    /// (steps × n_action) actions up to and including the fatal one
-    pub actions: Vec<f64>,
-}
-
-impl Trajectory {
-    /// Number of control steps.
-    pub fn len(&self) -> usize {
-        self.rewards.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.rewards.is_empty()
-    }
-
-    /// Mean reward a step.
-    pub fn mean_reward(&self) -> f64 {
-        self.rewards.iter().sum::<f64>() / self.rewards.len().max(1) as f64
-    }
 }
 
 struct Worker {
@@ -164,7 +102,7 @@ impl Sampler {
     /// Make `threads` workers, each with its own copy of `model`.
     ///
     /// # Errors
-    /// When memory or threads cannot be had.
+    /// When memory or threads cannot be had, or the task needs another number of motors than the model has.
     pub fn new(
         model: &Model,
         task: Arc<dyn Task>,
@@ -172,14 +110,26 @@ impl Sampler {
         config: RolloutConfig,
         threads: usize,
     ) -> Result<Self, RolloutError> {
+        // 0 would mean "as many as there are cores" to the pool, and no worker here
+        if threads == 0 {
+            let reason = "expected at least 1".to_owned();
+            return Err(RolloutError::Threads { threads, reason });
+        }
+        if task.n_action() != model.nu() {
+            let reason = format!("{} actuators, expected {}", model.nu(), task.n_action());
+            return Err(TaskError::Model { reason }.into());
+        }
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .thread_name(|i| format!("rollout-{i}"))
             .build()
-            .map_err(|e| RolloutError::Threads { threads, reason: e.to_string() })?;
+            .map_err(|e| RolloutError::Threads {
+                threads,
+                reason: e.to_string(),
+            })?;
         let workers = (0..threads)
             .map(|_| {
-                let data = Data::new(Arc::new(model.clone()))?;
+                let data = Data::new(Arc::new(model.try_clone()?))?;
                 Ok(Mutex::new(Worker {
                     data,
                     observation: vec![0.0; task.n_observation()],
@@ -188,7 +138,13 @@ impl Sampler {
                 }))
             })
             .collect::<Result<_, RolloutError>>()?;
-        Ok(Self { pool, workers, task, randomiser, config })
+        Ok(Self {
+            pool,
+            workers,
+            task,
+            randomiser,
+            config,
+        })
     }
 
     /// The task.
@@ -209,13 +165,15 @@ impl Sampler {
     /// Roll out `policy`; `batch` is overwritten, its memory reused.
     ///
     /// # Errors
-    /// The first failure by trajectory index. A diverged simulation is not one.
+    /// A policy that does not fit the task; else the first failure by trajectory index. A diverged simulation is not
+    /// one.
     pub fn sample(
         &self,
         policy: &AffineGaussian,
         request: &BatchRequest<'_>,
         batch: &mut Vec<Trajectory>,
     ) -> Result<(), RolloutError> {
+        policy.check(self.task.n_observation(), self.task.n_action())?;
         batch.resize_with(request.n_trajectory, Trajectory::default);
         let results: Vec<Result<(), RolloutError>> = self.pool.install(|| {
             batch
@@ -225,8 +183,9 @@ impl Sampler {
                 .map(|(index, trajectory)| {
                     let thread = rayon::current_thread_index().unwrap_or(0);
                     // a worker is only ever used by its own thread; a poisoned lock means that thread panicked before
-                    let mut worker =
-                        self.workers[thread].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                    let mut worker = self.workers[thread]
+                        .lock()
+                        .unwrap_or_else(std::sync::PoisonError::into_inner);
                     self.roll_out(&mut worker, policy, request, index as u64, trajectory)
                 })
                 .collect()
@@ -242,18 +201,24 @@ impl Sampler {
         index: u64,
     ) -> Result<ModelDraw, RolloutError> {
         let mut rng = rng::stream(request.seed, Purpose::Start, request.iteration, index);
-        let continued = !request.pool.is_empty() && rng::uniform(&mut rng, 0.0, 1.0) < request.pool_share;
+        let continued =
+            !request.pool.is_empty() && rng::uniform(&mut rng, 0.0, 1.0) < request.pool_share;
         let start = continued.then(|| {
             let position = rng::uniform(&mut rng, 0.0, request.pool.len() as f64) as usize;
             &request.pool[position.min(request.pool.len() - 1)]
         });
-        let draw = start.map_or(ModelDraw { iteration: request.iteration, index }, |start| start.model);
+        let draw = start.map_or(
+            ModelDraw {
+                iteration: request.iteration,
+                index,
+            },
+            |start| start.model,
+        );
         self.draw_model(data, request.seed, draw)?;
-        data.clear_warnings();
         match start {
             None => self.task.start(data, &mut rng)?,
             Some(start) => {
-                set_start(data, start);
+                set_start(data, start)?;
                 self.task.new_goal(data, &mut rng)?;
             }
         }
@@ -265,7 +230,9 @@ impl Sampler {
     /// # Errors
     /// As [`Self::sample`].
     pub fn start(&self, request: &BatchRequest<'_>, index: u64) -> Result<Data, RolloutError> {
-        let worker = self.workers[0].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let worker = self.workers[0]
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         let mut data = Data::new(Arc::new(worker.data.model().clone()))?;
         self.prepare(&mut data, request, index)?;
         Ok(data)
@@ -287,10 +254,19 @@ impl Sampler {
         index: u64,
         trajectory: &mut Trajectory,
     ) -> Result<(), RolloutError> {
-        let Worker { data, observation, value_input, action } = worker;
+        let Worker {
+            data,
+            observation,
+            value_input,
+            action,
+        } = worker;
         let (task, horizon) = (self.task.as_ref(), self.config.horizon);
         let model = self.prepare(data, request, index)?;
-        let start = Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() };
+        let start = Start {
+            model,
+            qpos: data.qpos().to_vec(),
+            qvel: data.qvel().to_vec(),
+        };
         let mocap_pos = data.mocap_pos().to_vec();
         let mut rng = rng::stream(request.seed, Purpose::Exploration, request.iteration, index);
         let visit = rng::uniform(&mut rng, 0.0, horizon as f64) as usize;
@@ -306,12 +282,25 @@ impl Sampler {
             policy.mean(observation, action);
             exploration.perturb(policy.log_sigma(), &mut rng, action, &mut noise);
             trajectory.noise.extend_from_slice(&noise);
-            trajectory.actions.extend_from_slice(action);
+            // JSON has no infinities, and any number beyond MuJoCo's range breaks down in the same way
+            trajectory.actions.extend(action.iter().map(|&a| {
+                if a.is_finite() {
+                    a
+                } else {
+                    f64::MAX.copysign(a)
+                }
+            }));
             hold(data, action, self.config.control_hold)?;
             let reward = task.reward(data);
             if let Some(reason) = breakdown(data, reward) {
                 let actions = trajectory.actions.clone();
-                trajectory.diverged = Some(Diverged { reason, step, start, mocap_pos, actions });
+                trajectory.diverged = Some(Diverged {
+                    reason,
+                    step,
+                    start,
+                    mocap_pos,
+                    actions,
+                });
                 return Ok(());
             }
             trajectory.rewards.push(reward);
@@ -319,7 +308,11 @@ impl Sampler {
             trajectory.value_inputs.extend_from_slice(value_input);
             trajectory.distances_m.push(task.distance_m(data));
             if step == visit {
-                trajectory.visited = Some(Start { model, qpos: data.qpos().to_vec(), qvel: data.qvel().to_vec() });
+                trajectory.visited = Some(Start {
+                    model,
+                    qpos: data.qpos().to_vec(),
+                    qvel: data.qvel().to_vec(),
+                });
             }
         }
         Ok(())
@@ -328,16 +321,26 @@ impl Sampler {
     /// Run a recorded breakdown again; returns what is seen this time (`None`: it did not break down).
     ///
     /// # Errors
-    /// When the dump does not fit the task or the engine fails.
-    pub fn replay(&self, seed: u64, dump: &Diverged) -> Result<Option<(usize, String)>, RolloutError> {
-        let mut worker = self.workers[0].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    /// When the dump does not fit the task and the model, or the engine fails.
+    pub fn replay(
+        &self,
+        seed: u64,
+        dump: &Diverged,
+    ) -> Result<Option<(usize, String)>, RolloutError> {
+        let mut worker = self.workers[0]
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         let data = &mut worker.data;
+        let (n, width) = (dump.actions.len(), self.task.n_action());
+        if !n.is_multiple_of(width) {
+            let reason = format!("`actions` has {n} values, expected a multiple of {width}");
+            return Err(RolloutError::Dump { reason });
+        }
         self.draw_model(data, seed, dump.start.model)?;
-        data.clear_warnings();
-        set_start(data, &dump.start);
-        data.mocap_pos_mut().copy_from_slice(&dump.mocap_pos);
+        set_start(data, &dump.start)?;
+        copy("mocap_pos", &dump.mocap_pos, data.mocap_pos_mut())?;
         data.step1()?;
-        for (step, action) in dump.actions.chunks_exact(self.task.n_action()).enumerate() {
+        for (step, action) in dump.actions.chunks_exact(width.max(1)).enumerate() {
             hold(data, action, self.config.control_hold)?;
             if let Some(reason) = breakdown(data, self.task.reward(data)) {
                 return Ok(Some((step, reason)));
@@ -350,9 +353,9 @@ impl Sampler {
 /// Apply `action` for `steps` physics steps, leaving positions and velocities evaluated.
 ///
 /// # Errors
-/// When the engine fails.
+/// When the engine fails or `action` has another length than `ctrl`.
 pub fn hold(data: &mut Data, action: &[f64], steps: usize) -> Result<(), MujocoError> {
-    data.ctrl_mut().copy_from_slice(action);
+    copy("ctrl", action, data.ctrl_mut())?;
     for _ in 0..steps {
         data.step2()?;
         data.step1()?;
@@ -369,20 +372,20 @@ pub fn breakdown(data: &Data, reward: f64) -> Option<String> {
     (!reward.is_finite()).then(|| format!("reward is {reward}"))
 }
 
-fn set_start(data: &mut Data, start: &Start) {
-    data.qpos_mut().copy_from_slice(&start.qpos);
-    data.qvel_mut().copy_from_slice(&start.qvel);
+fn set_start(data: &mut Data, start: &Start) -> Result<(), MujocoError> {
+    copy("qpos", &start.qpos, data.qpos_mut())?;
+    copy("qvel", &start.qvel, data.qvel_mut())
 }
 
-impl Trajectory {
-    fn clear(&mut self) {
-        self.observations.clear();
-        self.noise.clear();
-        self.actions.clear();
-        self.rewards.clear();
-        self.value_inputs.clear();
-        self.distances_m.clear();
-        self.visited = None;
-        self.diverged = None;
+fn copy(name: &'static str, from: &[f64], to: &mut [f64]) -> Result<(), MujocoError> {
+    let (expected, got) = (to.len(), from.len());
+    if expected != got {
+        return Err(MujocoError::Length {
+            name,
+            expected,
+            got,
+        });
     }
+    to.copy_from_slice(from);
+    Ok(())
 }

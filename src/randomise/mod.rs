@@ -1,0 +1,246 @@
+//! Drawing the parameters of a model anew for each rollout: the ensembles of the paper.
+//!
+//! A rule names an element by a glob (`body/p*_base`), an attribute of it, and a distribution. Draws are made from the
+//! nominal value, never from the last draw, so that a rollout depends on its own random stream only. When several rules
+//! hit the same number they act one after the other: the second draws around what the first left.
+//!
+//! ```toml
+//! [[randomise]]
+//! element = "body/p*_base"        # kind/name, `*` and `?` match within the name
+//! attribute = "pos"
+//! components = [0, 1]             # x and y; all components when absent
+//! distribution = { normal = 0.005 }
+//! ```
+
+mod resolve;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::mujoco::{Data, Model, ModelEdit, MujocoError};
+use crate::rng::{self, Stream};
+
+/// What can be wrong with a rule.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum RandomiseError {
+    /// The engine refused the edited model.
+    #[error(transparent)]
+    Mujoco(#[from] MujocoError),
+    /// The rule cannot be applied to this model.
+    #[error("randomise rule `{element} {attribute}`: {reason}")]
+    Rule {
+        /// as configured
+        element: String,
+        /// as configured
+        attribute: String,
+        /// what is wrong
+        reason: String,
+    },
+}
+
+/// How a component is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Distribution {
+    /// nominal + N(0, sigma²), sigma in the attribute's unit
+    Normal(f64),
+    /// nominal + U(-half width, half width)
+    Uniform(f64),
+    /// nominal × exp(N(0, sigma²)); keeps the sign
+    LogNormal(f64),
+    /// the value itself, the same in every rollout; not below 0 where that makes no sense
+    Fixed(f64),
+}
+
+/// One rule; see the module.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rule {
+    /// `kind/glob`
+    pub element: String,
+    /// attribute of that kind
+    pub attribute: String,
+    /// components to draw; empty: all
+    #[serde(default)]
+    pub components: Vec<usize>,
+    /// distribution of each component, independent of the others
+    pub distribution: Distribution,
+}
+
+impl Rule {
+    /// A rule from its parts.
+    pub fn new(
+        element: &str,
+        attribute: &str,
+        components: &[usize],
+        distribution: Distribution,
+    ) -> Self {
+        Self {
+            element: element.to_owned(),
+            attribute: attribute.to_owned(),
+            components: components.to_vec(),
+            distribution,
+        }
+    }
+}
+
+/// One number of `mjModel` and its nominal value.
+#[derive(Debug, Clone, Copy)]
+struct Slot {
+    array: &'static str,
+    index: usize,
+    nominal: f64,
+}
+
+/// Arrays no derived constant depends on. Nor does one on `body_pos` of a body fixed to the world: moving a whole
+/// mechanism changes no inertia.
+const SURFACE: [&str; 6] = [
+    "geom_friction",
+    "geom_solref",
+    "geom_solimp",
+    "pair_friction",
+    "pair_solref",
+    "pair_solimp",
+];
+
+// `mjtGeom` of the engine's model format
+const SPHERE: i32 = 2;
+const CAPSULE: i32 = 3;
+const ELLIPSOID: i32 = 4;
+const CYLINDER: i32 = 5;
+const BOX: i32 = 6;
+
+#[derive(Debug, Clone)]
+struct Target {
+    slot: Slot,
+    positive: bool,
+    distribution: Distribution,
+    /// numbers that keep their ratio to this one: a body's inertia follows its mass
+    followers: Vec<Slot>,
+}
+
+impl Target {
+    fn sample(&self, around: f64, rng: &mut Stream) -> f64 {
+        let value = match self.distribution {
+            Distribution::Normal(sigma) => around + sigma * rng::normal(rng),
+            Distribution::Uniform(half_width) => {
+                around + rng::uniform(rng, -half_width, half_width)
+            }
+            Distribution::LogNormal(sigma) => around * (sigma * rng::normal(rng)).exp(),
+            Distribution::Fixed(value) => return value,
+        };
+        // a far draw of a wide distribution must not make a body of negative mass: keep a hundredth
+        if self.positive {
+            value.max(0.01 * around)
+        } else {
+            value
+        }
+    }
+}
+
+/// Rules bound to a model.
+#[derive(Debug, Clone, Default)]
+pub struct Randomiser {
+    targets: Vec<Target>,
+    /// whether the engine's derived constants (inverse weights, subtree masses) depend on a target
+    inertial: bool,
+    /// geoms whose size is drawn: their bounding radius, which the engine only computes when it compiles, follows
+    resized: Vec<usize>,
+}
+
+impl Randomiser {
+    /// Resolve `rules` against the elements of `model`.
+    ///
+    /// # Errors
+    /// A rule that matches nothing, an unknown attribute, a component out of range, a spread that is not a number of
+    /// at least 0.
+    pub fn new(model: &Model, rules: &[Rule]) -> Result<Self, RandomiseError> {
+        let mut targets = Vec::new();
+        for rule in rules {
+            resolve::resolve(model, rule, &mut targets).map_err(|reason| RandomiseError::Rule {
+                element: rule.element.clone(),
+                attribute: rule.attribute.clone(),
+                reason,
+            })?;
+        }
+        let inertial = targets.iter().any(|t| match t.slot.array {
+            "body_pos" => model.body_parentid()[t.slot.index / 3] != 0,
+            array => !SURFACE.contains(&array),
+        });
+        let mut resized: Vec<usize> = targets
+            .iter()
+            .filter(|t| t.slot.array == "geom_size")
+            .map(|t| t.slot.index / 3)
+            .collect();
+        resized.dedup();
+        Ok(Self {
+            targets,
+            inertial,
+            resized,
+        })
+    }
+
+    /// Draw every target from its nominal value into the model of `data`, which should be reset afterwards.
+    ///
+    /// # Errors
+    /// When the engine refuses the drawn model.
+    pub fn draw(&self, data: &mut Data, rng: &mut Stream) -> Result<(), RandomiseError> {
+        if self.targets.is_empty() {
+            return Ok(());
+        }
+        data.edit_model(|edit| {
+            for target in &self.targets {
+                for slot in std::iter::once(&target.slot).chain(&target.followers) {
+                    slot.set(edit, slot.nominal);
+                }
+            }
+            for target in &self.targets {
+                let around = target.slot.get(edit);
+                let value = target.sample(around, rng);
+                target.slot.set(edit, value);
+                for follower in &target.followers {
+                    let of_follower = follower.get(edit);
+                    follower.set(edit, of_follower * value / around);
+                }
+            }
+            for &geom in &self.resized {
+                let radius = bounding_radius(edit.model(), geom);
+                if let (Some(radius), Some(bound)) = (radius, edit.geom_rbound().get_mut(geom)) {
+                    *bound = radius;
+                }
+            }
+            if self.inertial {
+                edit.recompute_constants();
+            }
+        })?;
+        Ok(())
+    }
+}
+
+impl Slot {
+    fn get(&self, edit: &ModelEdit<'_>) -> f64 {
+        edit.model()
+            .numeric_field(self.array)
+            .map_or(self.nominal, |array| array[self.index])
+    }
+
+    fn set(&self, edit: &mut ModelEdit<'_>, value: f64) {
+        if let Some(array) = edit.numeric_field_mut(self.array) {
+            array[self.index] = value;
+        }
+    }
+}
+
+/// Radius of the smallest sphere about its centre that holds a geom; `None` for shapes not made of `size`.
+fn bounding_radius(model: &Model, geom: usize) -> Option<f64> {
+    let size = &model.geom_size()[3 * geom..3 * geom + 3];
+    match model.geom_type()[geom] {
+        SPHERE => Some(size[0]),
+        CAPSULE => Some(size[0] + size[1]),
+        ELLIPSOID => Some(size[0].max(size[1]).max(size[2])),
+        CYLINDER => Some(size[0].hypot(size[1])),
+        BOX => Some(size[0].hypot(size[1]).hypot(size[2])),
+        _ => None,
+    }
+}
