@@ -23,6 +23,11 @@ pub(crate) fn phantom_model_with(from: &str, to: &str) -> Model {
     Model::from_xml_path(&path).expect("the changed model loads")
 }
 
+/// The shipped model without torque limits: a huge torque is then no usable control.
+pub(crate) fn unlimited_model() -> Model {
+    phantom_model_with("ctrllimited=\"true\"", "ctrllimited=\"false\"")
+}
+
 /// Bring a mass to rest at a goal: observation = position, velocity, goal.
 pub(crate) struct PointMass;
 

@@ -68,7 +68,7 @@ fn solve_inverts_the_damped_matrix() {
         let mut view = empirical.view_mut(at, (width, width));
         view += &damping;
         let k = policy.weights().len() + i;
-        exact[(k, k)] = 2.0;
+        exact[(k, k)] = 2.0 * (1.0 + DAMPING);
         empirical[(k, k)] += 2.0 * DAMPING;
     }
     // out of units of σ

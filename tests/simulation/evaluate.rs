@@ -1,8 +1,8 @@
 //! The evaluation against a loop of its own.
 
-use crate::common::phantom_model;
+use crate::common::{phantom_model, unlimited_model};
 use phantom::evaluate::{Evaluation, EvaluationRequest, evaluate};
-use phantom::mujoco::Data;
+use phantom::mujoco::{Data, Model};
 use phantom::policy::AffineGaussian;
 use phantom::randomise::Randomiser;
 use phantom::rng::{self, Purpose};
@@ -27,7 +27,11 @@ fn policy() -> AffineGaussian {
 }
 
 fn run(policy: &AffineGaussian, n_rollout: usize) -> Evaluation {
-    let model = Arc::new(phantom_model());
+    run_on(phantom_model(), policy, n_rollout)
+}
+
+fn run_on(model: Model, policy: &AffineGaussian, n_rollout: usize) -> Evaluation {
+    let model = Arc::new(model);
     let task = PushTask::new(&model, PushConfig::default()).expect("task");
     let randomiser = Randomiser::new(&model, &ensemble_rules(0.005, None, 0.0)).expect("rules");
     let request = EvaluationRequest {
@@ -101,9 +105,9 @@ fn an_object_at_rest_is_as_far_as_the_path() {
 fn a_breakdown_at_once_is_no_good_figure() {
     let mut broken = AffineGaussian::zeros(36, 9, -1.0);
     let mut theta = broken.parameters();
-    theta[36] = 1e200; // its square, part of the reward, is no number
+    theta[36] = 1e200; // beyond what the engine takes
     broken.set_parameters(&theta).expect("finite");
-    let evaluation = run(&broken, 2);
+    let evaluation = run_on(unlimited_model(), &broken, 2);
     for rollout in &evaluation.rollouts {
         assert!(rollout.diverged.is_some() && rollout.steps.is_empty());
     }

@@ -1,6 +1,6 @@
 //! Rollouts: breakdowns and their replay, continued states, and input that does not fit.
 
-use crate::common::{PointMass, phantom_model, point_mass_model};
+use crate::common::{PointMass, phantom_model, point_mass_model, unlimited_model};
 use phantom::policy::AffineGaussian;
 use phantom::randomise::{Distribution, Randomiser, Rule};
 use phantom::rng::{self, Purpose};
@@ -56,9 +56,9 @@ fn runaway(gain: f64) -> AffineGaussian {
 #[test]
 fn a_breakdown_is_recorded_and_replays() {
     for (gain, what) in [
-        (300.0, "unusable"),
-        (1e12, "unusable ctrl"),
-        (1e308, "unusable ctrl"),
+        (300.0, "bad_"),
+        (1e12, "bad_ctrl"),
+        (1e308, "bad_ctrl"),
     ] {
         let sampler = sampler(2);
         let batch = sample(&sampler, &runaway(gain), 0, &[]);
@@ -303,7 +303,7 @@ fn what_does_not_fit_is_an_error() {
 
 #[test]
 fn the_arm_breaks_down_and_replays_too() {
-    let model = phantom_model();
+    let model = unlimited_model();
     let task = PushTask::new(&model, PushConfig::default()).expect("task");
     let randomiser = Randomiser::new(&model, &ensemble_rules(0.005, None, 0.02)).expect("rules");
     let config = RolloutConfig {
@@ -314,7 +314,7 @@ fn the_arm_breaks_down_and_replays_too() {
     let sampler = Sampler::new(&model, Arc::new(task), randomiser, config, 1).expect("sampler");
     let mut policy = AffineGaussian::zeros(36, 9, -1.0);
     let mut theta = policy.parameters();
-    theta[36] = 1e200; // the engine limits the torque, but the square of it is no number
+    theta[36] = 1e200; // beyond what the engine takes
     policy.set_parameters(&theta).expect("finite");
     for trajectory in sample(&sampler, &policy, 0, &[]) {
         let dump = trajectory.diverged.expect("breaks down");
