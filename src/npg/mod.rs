@@ -180,6 +180,23 @@ struct Sums {
     outer: Option<DMatrix<f64>>,   // Σ u uᵀ
 }
 
+/// An update and what it was computed from.
+#[derive(Debug, Clone)]
+pub struct Update {
+    /// the policy after the step
+    pub policy: AffineGaussian,
+    /// the value functions fitted to the batch; `None`: too few samples
+    pub fit: Option<baseline::Fit>,
+    /// normalised and clipped advantages of every usable trajectory
+    pub advantages: Vec<Vec<f64>>,
+    /// g, in the order of [`AffineGaussian::parameters`]
+    pub gradient: Vec<f64>,
+    /// F⁻¹g
+    pub natural_gradient: Vec<f64>,
+    /// summary
+    pub report: UpdateReport,
+}
+
 /// One update of `policy` and `baseline` from a batch.
 ///
 /// # Errors
@@ -192,6 +209,26 @@ pub fn update(
     groups: &[ObservationGroup],
     config: &NpgConfig,
 ) -> Result<UpdateReport, NpgError> {
+    let update = compute(policy, baseline, batch, horizon, groups, config)?;
+    *policy = update.policy;
+    if let Some(fit) = update.fit {
+        *baseline = fit.all;
+    }
+    Ok(update.report)
+}
+
+/// The update of `policy` from a batch, with the value function `baseline` of the last one.
+///
+/// # Errors
+/// When the batch has no usable trajectory or the step is not defined.
+pub fn compute(
+    policy: &AffineGaussian,
+    baseline: &Baseline,
+    batch: &[Trajectory],
+    horizon: usize,
+    groups: &[ObservationGroup],
+    config: &NpgConfig,
+) -> Result<Update, NpgError> {
     let usable: Vec<&Trajectory> = batch.iter().filter(|t| t.diverged.is_none() && !t.is_empty()).collect();
     if usable.is_empty() {
         return Err(NpgError::NoTrajectory { n_trajectory: batch.len() });
@@ -244,8 +281,8 @@ pub fn update(
     // the step
     let natural = [fisher.solve(&halves[0]), fisher.solve(&halves[1])];
     let gradient: Vec<f64> = halves[0].iter().zip(&halves[1]).map(|(a, b)| a + b).collect();
-    let direction: Vec<f64> = natural[0].iter().zip(&natural[1]).map(|(a, b)| a + b).collect();
-    let gradient_norm2 = dot(&gradient, &direction);
+    let natural_gradient: Vec<f64> = natural[0].iter().zip(&natural[1]).map(|(a, b)| a + b).collect();
+    let gradient_norm2 = dot(&gradient, &natural_gradient);
     if !(gradient_norm2.is_finite() && gradient_norm2 > 0.0) {
         return Err(NpgError::Gradient { value: gradient_norm2 });
     }
@@ -253,7 +290,7 @@ pub fn update(
         let inner = |i: usize, j: usize| fisher.inner(&natural[i], &natural[j], columns.clone());
         inner(0, 1) / (inner(0, 0) * inner(1, 1)).sqrt()
     };
-    let (kl_measured, next) = step(policy, &direction, gradient_norm2, &second, config);
+    let (kl_measured, next) = step(policy, &natural_gradient, gradient_norm2, &second, config);
 
     let report = UpdateReport {
         n_sample,
@@ -266,11 +303,7 @@ pub fn update(
         clipped_share,
         value_fit: fit.as_ref().map(|f| f.report),
     };
-    *policy = next;
-    if let Some(fit) = fit {
-        *baseline = fit.all;
-    }
-    Ok(report)
+    Ok(Update { policy: next, fit, advantages, gradient, natural_gradient, report })
 }
 
 /// Fit value functions to the returns of `usable`; `None` when there are too few samples.
@@ -390,8 +423,9 @@ fn sum_lane(
     Sums { gradient, second: second.finish(), outer: outer.map(|gram| gram.finish().0) }
 }
 
-/// The policy one normalised step along `direction`, and KL(old ‖ new). The step is halved while the measured KL is
-/// over twice the predicted one, which the change of σ can cause.
+/// The policy one normalised step along `direction`, and the KL divergence of the step. The step is halved while that is
+/// over twice the predicted one, which the change of σ can cause. A σ that is below its floor beforehand is raised to
+/// it first: that is no part of the step, and no shorter step would make it any smaller.
 fn step(
     policy: &AffineGaussian,
     direction: &[f64],
@@ -399,6 +433,8 @@ fn step(
     second: &DMatrix<f64>,
     config: &NpgConfig,
 ) -> (f64, AffineGaussian) {
+    let mut policy = policy.clone();
+    policy.raise_log_sigma(config.log_sigma_floor);
     let theta = policy.parameters();
     let mut length = (config.step_size_delta / gradient_norm2).sqrt();
     loop {
@@ -406,7 +442,7 @@ fn step(
         let moved: Vec<f64> = theta.iter().zip(direction).map(|(t, d)| t + length * d).collect();
         if next.set_parameters(&moved).is_ok() {
             next.raise_log_sigma(config.log_sigma_floor);
-            let kl = kl_divergence(policy, &next, second);
+            let kl = kl_divergence(&policy, &next, second);
             if kl <= config.step_size_delta {
                 return (kl, next);
             }
@@ -431,4 +467,38 @@ pub fn kl_divergence(old: &AffineGaussian, new: &AffineGaussian, second: &DMatri
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Trajectories of one action without dynamics, rewarded for a = s.
+    fn batch(policy: &AffineGaussian) -> Vec<Trajectory> {
+        let mut rng = crate::rng::stream(1, crate::rng::Purpose::Exploration, 0, 0);
+        let mut trajectory = |_| {
+            let mut t = Trajectory { final_observation: vec![0.0], ..Trajectory::default() };
+            for _ in 0..20 {
+                let s = crate::rng::uniform(&mut rng, -1.0, 1.0);
+                let (mut action, mut noise) = ([0.0], [0.0]);
+                policy.sample(&[s], &mut rng, &mut action, &mut noise);
+                t.observations.push(s);
+                t.noise.extend(noise);
+                t.rewards.push(-(action[0] - s).powi(2));
+            }
+            t
+        };
+        (0..20).map(&mut trajectory).collect()
+    }
+
+    #[test]
+    fn a_sigma_far_below_its_floor_is_raised_and_the_step_still_made() {
+        let mut policy = AffineGaussian::zeros(1, 1, -4.0);
+        let batch = batch(&policy);
+        let config = NpgConfig { log_sigma_floor: -1.0, ..NpgConfig::default() };
+        let report = update(&mut policy, &mut Baseline::zero(1), &batch, 20, &[], &config).expect("an update");
+        assert!(report.kl_measured > 0.0 && report.kl_measured <= config.step_size_delta);
+        assert!(policy.log_sigma()[0] >= -1.0);
+        assert!(policy.weights()[0] > 0.0, "towards a = s");
+    }
 }
