@@ -1,5 +1,6 @@
 //! phantom: training, identification and gap finding on `MuJoCo` 2.2.2.
 
+pub mod crosscheck;
 pub mod evaluate;
 pub mod mujoco;
 pub mod npg;
