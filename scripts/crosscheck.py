@@ -38,7 +38,7 @@ except ImportError as missing:
     sys.stderr.write(f"crosscheck.py: {missing}: run it with a Python that has mujoco and numpy\n")
     sys.exit(2)
 
-from phantom_policy import evaluate_policy
+from phantom_policy import check_policy, evaluate_policy
 
 ROOT = Path(__file__).resolve().parent.parent
 FORMAT = "phantom-crosscheck-1"
@@ -252,6 +252,7 @@ def compare_pushing(record, table):
     data = mujoco.MjData(model)
     tip_sites = [identify(model, "site", f"p{finger}_tip") for finger in range(3)]
     body, goal = identify(model, "body", "object"), identify(model, "body", "goal")
+    check_policy(pushing["policy"])
     samples, observations, rewards, distances, actions = pushing["samples"], [], [], [], []
     for sample in samples:
         set_state(data, sample)
@@ -499,7 +500,10 @@ def compare(record, same_version):
 
 
 def self_test(record, same_version):
-    """Changes one number of the record at a time, by a hundred-thousandth, and expects a mismatch for each."""
+    """Changes one number of the record at a time, by a hundred-thousandth, and expects a mismatch for each.
+
+    Returns how many changes went unnoticed. With another version of mujoco no such change of physics can be noticed.
+    """
     def physics(changed, table):
         compare_physics(changed["physics"][0], table)
 
@@ -522,6 +526,8 @@ def self_test(record, same_version):
     ]
     unseen = 0
     for check, path in spots:
+        if check is physics and not same_version:
+            continue
         changed = copy.deepcopy(record)
         place = changed
         for key in path[:-1]:

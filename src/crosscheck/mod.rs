@@ -50,5 +50,12 @@ pub fn record(root: &Path, seed: u64) -> Result<Record, TrainError> {
     let update = update::record(root, seed)?;
     // the library was found to be of this version when the first model was loaded
     let mujoco = env!("PHANTOM_MUJOCO_HEADER_VERSION");
-    Ok(Record { format: FORMAT, mujoco, seed, physics, pushing, update })
+    Ok(Record {
+        format: FORMAT,
+        mujoco,
+        seed,
+        physics,
+        pushing,
+        update,
+    })
 }

@@ -114,7 +114,9 @@ impl Physics {
     /// A case without simulations: `nominal` was loaded from `file`, `drawn` is what will be simulated.
     pub fn new(name: &str, file: &str, nominal: &Model, drawn: &Model) -> Self {
         let constants = arrays(nominal);
-        let changed = arrays(drawn).into_iter().filter(|(name, values)| constants[name] != *values);
+        let changed = arrays(drawn)
+            .into_iter()
+            .filter(|(name, values)| constants[name] != *values);
         Self {
             name: name.to_owned(),
             model: file.to_owned(),
@@ -187,11 +189,19 @@ fn inverse(data: &mut Data, rng: &mut Stream) -> Result<Inverse, MujocoError> {
     }
     let (state, qacc) = (Full::of(data), data.qacc().to_vec());
     data.inverse()?;
-    Ok(Inverse { state, qacc, qfrc_inverse: data.qfrc_inverse().to_vec() })
+    Ok(Inverse {
+        state,
+        qacc,
+        qfrc_inverse: data.qfrc_inverse().to_vec(),
+    })
 }
 
 /// Controls that are drawn anew every [`HOLD`] steps, uniform within `amplitude` of `centre`.
-pub fn random_controls(mut rng: Stream, centre: Vec<f64>, amplitude: f64) -> impl FnMut(usize, &Data, &mut [f64]) {
+pub fn random_controls(
+    mut rng: Stream,
+    centre: Vec<f64>,
+    amplitude: f64,
+) -> impl FnMut(usize, &Data, &mut [f64]) {
     move |t, _, ctrl| {
         if t % HOLD == 0 {
             for (u, centre) in ctrl.iter_mut().zip(&centre) {
@@ -203,7 +213,9 @@ pub fn random_controls(mut rng: Stream, centre: Vec<f64>, amplitude: f64) -> imp
 
 /// Every array of doubles of a model.
 fn arrays(model: &Model) -> Arrays {
-    let named = Model::NUMERIC_FIELDS.iter().filter_map(|&name| Some((name, model.numeric_field(name)?.to_vec())));
+    let named = Model::NUMERIC_FIELDS
+        .iter()
+        .filter_map(|&name| Some((name, model.numeric_field(name)?.to_vec())));
     named.filter(|(_, values)| !values.is_empty()).collect()
 }
 
@@ -213,7 +225,11 @@ fn arrays(model: &Model) -> Arrays {
 /// When a model cannot be loaded or the engine fails.
 pub fn small_models(root: &Path, seed: u64) -> Result<Vec<Physics>, MujocoError> {
     // the pusher is driven towards the box on average
-    let cases = [("pendulum", vec![0.0], 2.0), ("arm", vec![0.0, 0.0], 4.0), ("push_box", vec![2.5], 2.5)];
+    let cases = [
+        ("pendulum", vec![0.0], 2.0),
+        ("arm", vec![0.0, 0.0], 4.0),
+        ("push_box", vec![2.5], 2.5),
+    ];
     let record = |(index, (name, centre, amplitude)): (usize, (&str, Vec<f64>, f64))| {
         let file = format!("tests/models/{name}.xml");
         let model = Arc::new(Model::from_xml_path(root.join(&file))?);

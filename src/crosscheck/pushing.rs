@@ -10,8 +10,8 @@ use crate::mujoco::{Data, Model};
 use crate::policy::AffineGaussian;
 use crate::randomise::Randomiser;
 use crate::rng::{self, Purpose};
-use crate::task::push::{PushConfig, PushTask, TipDistance};
 use crate::task::Task;
+use crate::task::push::{PushConfig, PushTask, TipDistance};
 use crate::train::TrainError;
 use crate::train::config::TrainConfig;
 
@@ -21,8 +21,12 @@ const UNDER_POLICY: &str = "phantom, policy";
 /// Physics steps for which the policy's action is held.
 const HOLD: usize = 5;
 /// Standard deviations of the random policy's weights: gentle enough for velocities not to be fed back to instability.
-const WEIGHT_SIGMA: [(&str, f64); 4] =
-    [("joint_position", 0.1), ("joint_velocity", 0.001), ("object", 0.5), ("goal", 0.5)];
+const WEIGHT_SIGMA: [(&str, f64); 4] = [
+    ("joint_position", 0.1),
+    ("joint_velocity", 0.001),
+    ("object", 0.5),
+    ("goal", 0.5),
+];
 /// Mean torque that brings each fingertip to the object in the time simulated, N m: turret, upper link, crank.
 const INWARD_NM: [f64; 3] = [0.0, 0.0, 0.15];
 
@@ -69,10 +73,19 @@ pub(super) fn random_policy(task: &PushTask, seed: u64, log_sigma: f64) -> Affin
     let mut theta = policy.parameters();
     let mut rng = rng::stream(seed, Purpose::Policy, 0, 0);
     let width = task.n_observation() + 1;
-    for (motor, row) in theta.chunks_exact_mut(width).take(task.n_action()).enumerate() {
+    for (motor, row) in theta
+        .chunks_exact_mut(width)
+        .take(task.n_action())
+        .enumerate()
+    {
         for group in task.observation_groups() {
-            let sigma = WEIGHT_SIGMA.iter().find(|(name, _)| *name == group.name).map_or(0.0, |(_, sigma)| *sigma);
-            row[group.columns].iter_mut().for_each(|weight| *weight = sigma * rng::normal(&mut rng));
+            let sigma = WEIGHT_SIGMA
+                .iter()
+                .find(|(name, _)| *name == group.name)
+                .map_or(0.0, |(_, sigma)| *sigma);
+            row[group.columns]
+                .iter_mut()
+                .for_each(|weight| *weight = sigma * rng::normal(&mut rng));
         }
         row[width - 1] += INWARD_NM[motor % INWARD_NM.len()];
     }
@@ -80,7 +93,9 @@ pub(super) fn random_policy(task: &PushTask, seed: u64, log_sigma: f64) -> Affin
         *log_sigma += 0.02 * i as f64;
     }
     // finite by construction
-    policy.set_parameters(&theta).unwrap_or_else(|error| unreachable!("{error}"));
+    policy
+        .set_parameters(&theta)
+        .unwrap_or_else(|error| unreachable!("{error}"));
     policy
 }
 
@@ -92,9 +107,16 @@ pub fn record(root: &Path, seed: u64) -> Result<(Vec<Physics>, Pushing), TrainEr
     let model = Arc::new(Model::from_xml_path(root.join(FILE))?);
     let configs = vec![
         PushConfig::default(),
-        PushConfig { tip_distance: TipDistance::Plane, tip_weight: 0.7, ..PushConfig::default() },
+        PushConfig {
+            tip_distance: TipDistance::Plane,
+            tip_weight: 0.7,
+            ..PushConfig::default()
+        },
     ];
-    let tasks = configs.iter().map(|c| PushTask::new(&model, c.clone())).collect::<Result<Vec<_>, _>>()?;
+    let tasks = configs
+        .iter()
+        .map(|c| PushTask::new(&model, c.clone()))
+        .collect::<Result<Vec<_>, _>>()?;
     let task = &tasks[0];
     let mut config = TrainConfig::default();
     config.train.object_mass_sigma_kg = 0.05;
@@ -108,12 +130,21 @@ pub fn record(root: &Path, seed: u64) -> Result<(Vec<Physics>, Pushing), TrainEr
     };
 
     let mut cases = Vec::new();
-    let inward: Vec<f64> = (0..task.n_action()).map(|motor| INWARD_NM[motor % INWARD_NM.len()]).collect();
-    let ways = [("phantom, mj_step", Advance::Step), ("phantom, halves", Advance::Halves)];
+    let inward: Vec<f64> = (0..task.n_action())
+        .map(|motor| INWARD_NM[motor % INWARD_NM.len()])
+        .collect();
+    let ways = [
+        ("phantom, mj_step", Advance::Step),
+        ("phantom, halves", Advance::Halves),
+    ];
     for (index, (name, advance)) in (1..).zip(ways) {
         let mut data = start(index)?;
         let mut physics = Physics::new(name, FILE, &model, data.model());
-        let control = random_controls(rng::stream(seed, Purpose::Exploration, 100, index), inward.clone(), 0.3);
+        let control = random_controls(
+            rng::stream(seed, Purpose::Exploration, 100, index),
+            inward.clone(),
+            0.3,
+        );
         let mut rng = rng::stream(seed, Purpose::Evaluation, 100, index);
         physics.simulate(&mut data, advance, &mut rng, control)?;
         cases.push(physics);
@@ -150,5 +181,14 @@ pub fn record(root: &Path, seed: u64) -> Result<(Vec<Physics>, Pushing), TrainEr
     })?;
     cases.push(physics);
     let observation_names = task.observation_names();
-    Ok((cases, Pushing { physics: UNDER_POLICY, policy, observation_names, configs, samples }))
+    Ok((
+        cases,
+        Pushing {
+            physics: UNDER_POLICY,
+            policy,
+            observation_names,
+            configs,
+            samples,
+        },
+    ))
 }

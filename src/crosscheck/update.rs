@@ -102,13 +102,28 @@ pub fn record(root: &Path, seed: u64) -> Result<UpdateRecord, TrainError> {
     let task = PushTask::new(&model, config.task.clone())?;
     let mut trainer = Trainer::new(model, config.clone(), 2)?;
     let policy = random_policy(&task, seed, config.npg.initial_log_sigma);
-    trainer.restore(Checkpoint { policy, ..trainer.checkpoint().clone() })?;
+    trainer.restore(Checkpoint {
+        policy,
+        ..trainer.checkpoint().clone()
+    })?;
     trainer.advance()?;
 
-    let Checkpoint { iteration, policy, baseline: previous, pool, .. } = trainer.checkpoint();
+    let Checkpoint {
+        iteration,
+        policy,
+        baseline: previous,
+        pool,
+        ..
+    } = trainer.checkpoint();
     let sampler = trainer.sampler();
     let (n_trajectory, pool_share) = (config.train.trajectories, config.train.continued_share);
-    let request = BatchRequest { seed, iteration: *iteration, n_trajectory, pool, pool_share };
+    let request = BatchRequest {
+        seed,
+        iteration: *iteration,
+        n_trajectory,
+        pool,
+        pool_share,
+    };
     let mut batch = Vec::new();
     sampler.sample(policy, &request, &mut batch)?;
     mark_as_broken(&mut batch[BROKEN]);
@@ -117,14 +132,22 @@ pub fn record(root: &Path, seed: u64) -> Result<UpdateRecord, TrainError> {
     let horizon = sampler.config().horizon;
     let cases = settings(&config.npg).into_iter().map(|config| {
         let update = || npg::compute(policy, previous, &batch, horizon, &groups, &config);
-        Ok(case(sampler.threads().install(update)?, &batch, horizon, config))
+        Ok(case(
+            sampler.threads().install(update)?,
+            &batch,
+            horizon,
+            config,
+        ))
     });
     let cases = cases.collect::<Result<_, TrainError>>()?;
     Ok(UpdateRecord {
         horizon,
         policy: policy.clone(),
         previous: previous.clone(),
-        groups: groups.iter().map(|g| (g.name, g.columns.start, g.columns.end)).collect(),
+        groups: groups
+            .iter()
+            .map(|g| (g.name, g.columns.start, g.columns.end))
+            .collect(),
         trajectories: batch.iter().map(entry).collect(),
         cases,
     })
@@ -135,7 +158,11 @@ fn settings(base: &NpgConfig) -> Vec<NpgConfig> {
     let mut settings = Vec::new();
     for fisher in [FisherMode::Exact, FisherMode::Empirical] {
         for value_from in [ValueFrom::Crossed, ValueFrom::Previous] {
-            settings.push(NpgConfig { fisher, value_from, ..base.clone() });
+            settings.push(NpgConfig {
+                fisher,
+                value_from,
+                ..base.clone()
+            });
         }
     }
     settings.push(NpgConfig {
@@ -157,7 +184,12 @@ fn case(update: npg::Update, batch: &[Trajectory], horizon: usize, config: NpgCo
         let along = |trajectory: &&Trajectory| {
             let mut values = Vec::new();
             baseline.values(&trajectory.observations, 0, horizon, &mut values);
-            baseline.values(&trajectory.final_observation, trajectory.len(), horizon, &mut values);
+            baseline.values(
+                &trajectory.final_observation,
+                trajectory.len(),
+                horizon,
+                &mut values,
+            );
             values
         };
         valued.iter().map(along).collect()
@@ -172,7 +204,9 @@ fn case(update: npg::Update, batch: &[Trajectory], horizon: usize, config: NpgCo
         config,
         values,
         value_samples: report.value_fit.map_or(0, |fit| fit.n_sample),
-        explained_variance: report.value_fit.map_or(f64::NAN, |fit| fit.explained_variance),
+        explained_variance: report
+            .value_fit
+            .map_or(f64::NAN, |fit| fit.explained_variance),
         advantages: update.advantages,
         advantage_sigma: report.advantage_sigma,
         clipped_share: report.clipped_share,
@@ -180,7 +214,11 @@ fn case(update: npg::Update, batch: &[Trajectory], horizon: usize, config: NpgCo
         natural_gradient: update.natural_gradient,
         gradient_norm2: report.gradient_norm2,
         half_cosine: report.half_cosine,
-        group_cosines: report.group_cosines.into_iter().map(|(_, cosine)| cosine).collect(),
+        group_cosines: report
+            .group_cosines
+            .into_iter()
+            .map(|(_, cosine)| cosine)
+            .collect(),
         theta: update.policy.parameters(),
         kl_predicted: report.kl_predicted,
         kl_measured: report.kl_measured,

@@ -42,7 +42,7 @@ pub struct FitReport {
 /// One trajectory as the fit sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Target<'a> {
-    /// (T × n_observation)
+    /// (T × `n_observation`)
     pub observations: &'a [f64],
     /// (T)
     pub returns: &'a [f64],

@@ -159,7 +159,7 @@ pub struct UpdateReport {
     pub gradient_norm2: f64,
     /// δ / 2
     pub kl_predicted: f64,
-    /// KL(old ‖ new) averaged over the batch, closed form
+    /// KL(old ‖ new) of the step, averaged over the batch, closed form
     pub kl_measured: f64,
     /// cosine in the Fisher metric between the natural gradients of even and odd trajectories
     pub half_cosine: f64,
@@ -266,7 +266,9 @@ pub fn compute(
     let sigma: Vec<f64> = policy.log_sigma().iter().map(|l| l.exp()).collect();
     for half in &mut halves {
         for (row, sigma) in half[..n_weight].chunks_exact_mut(policy.n_observation() + 1).zip(&sigma) {
-            row.iter_mut().for_each(|value| *value /= sigma);
+            for value in row {
+                *value /= sigma;
+            }
         }
     }
     let fisher = match outer {
