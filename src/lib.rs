@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod cli;
+pub mod crosscheck;
 pub mod evaluate;
 pub mod exploration;
 pub mod mujoco;

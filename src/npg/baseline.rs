@@ -168,16 +168,17 @@ pub fn fit(
         (DMatrix::zeros(n + 1, n + 1), 0),
         (DMatrix::zeros(n + 1, n + 1), 0),
     ];
-    let sums = gram::lanes(targets, |lane| {
+    let numbered: Vec<(usize, &Target<'_>)> = targets.iter().enumerate().collect();
+    let sums = gram::lanes(&numbered, |lane| {
         let mut gram = Gram::new(n + 1);
-        for (k, target) in lane.enumerate() {
+        for (index, target) in lane {
             let rows = target
                 .inputs
                 .chunks_exact(n_input)
                 .zip(target.returns)
                 .enumerate();
-            // the phase moves along within a lane, so that both parities visit every time
-            for (t, (observation, y)) in rows.skip(k % stride).step_by(stride) {
+            // the phase moves along with pairs of trajectories, so that both parities visit every time
+            for (t, (observation, y)) in rows.skip(index / 2 % stride).step_by(stride) {
                 gram.push(|panel| {
                     shape.features(observation, t as f64 / horizon as f64, panel);
                     panel.push(*y);

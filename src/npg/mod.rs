@@ -87,20 +87,20 @@ impl Default for NpgConfig {
     fn default() -> Self {
         Self {
             discount: 0.98,
-            gae_lambda: 0.95,
-            step_size_delta: 0.05,
-            final_step_size_delta: 0.02,
-            final_log_sigma: -2.5,
-            anneal_iterations: 100,
+            gae_lambda: 0.9,
+            step_size_delta: 0.1,
+            final_step_size_delta: 0.04,
+            final_log_sigma: -2.4,
+            anneal_iterations: 80,
             fisher: FisherMode::Exact,
-            fisher_damping: 1e-4,
+            fisher_damping: 0.1,
             advantage_clip: 5.0,
             value_from: ValueFrom::Crossed,
             value_ridge: 1e-4,
             value_stride: 4,
-            noise_correlation: 0.5,
-            initial_log_sigma: -1.6,
-            log_sigma_floor: -2.2,
+            noise_correlation: 0.85,
+            initial_log_sigma: -1.5,
+            log_sigma_floor: -3.0,
         }
     }
 }
@@ -238,6 +238,23 @@ pub struct UpdateReport {
     pub value_fit: Option<FitReport>,
 }
 
+/// An update and what it was computed from.
+#[derive(Debug, Clone)]
+pub struct Update {
+    /// the policy after the step
+    pub policy: AffineGaussian,
+    /// the value functions fitted to the batch; `None`: too few samples
+    pub fit: Option<baseline::Fit>,
+    /// normalised and clipped advantages of every usable trajectory
+    pub advantages: Vec<Vec<f64>>,
+    /// g, in the order of [`AffineGaussian::parameters`]
+    pub gradient: Vec<f64>,
+    /// F⁻¹g
+    pub natural_gradient: Vec<f64>,
+    /// summary
+    pub report: UpdateReport,
+}
+
 /// One update of `policy` and `baseline` from a batch.
 ///
 /// # Errors
@@ -250,6 +267,26 @@ pub fn update(
     groups: &[ObservationGroup],
     config: &NpgConfig,
 ) -> Result<UpdateReport, NpgError> {
+    let update = compute(policy, baseline, batch, horizon, groups, config)?;
+    *policy = update.policy;
+    if let Some(fit) = update.fit {
+        *baseline = fit.all;
+    }
+    Ok(update.report)
+}
+
+/// The update of `policy` from a batch, with the value function `baseline` of the last one.
+///
+/// # Errors
+/// When the batch has no usable trajectory or the step is not defined.
+pub fn compute(
+    policy: &AffineGaussian,
+    baseline: &Baseline,
+    batch: &[Trajectory],
+    horizon: usize,
+    groups: &[ObservationGroup],
+    config: &NpgConfig,
+) -> Result<Update, NpgError> {
     let usable: Vec<&Trajectory> = batch
         .iter()
         .filter(|t| t.diverged.is_none() && !t.is_empty())
@@ -323,11 +360,14 @@ pub fn update(
         clipped_share,
         value_fit: fit.as_ref().map(|f| f.report),
     };
-    *policy = next;
-    if let Some(fit) = fit {
-        *baseline = fit.all;
-    }
-    Ok(report)
+    Ok(Update {
+        policy: next,
+        fit,
+        advantages,
+        gradient,
+        natural_gradient: direction,
+        report,
+    })
 }
 
 /// Fit value functions to the returns of `usable`; `None` when there are too few samples.

@@ -71,12 +71,12 @@ pub struct ScheduleConfig {
 impl Default for ScheduleConfig {
     fn default() -> Self {
         Self {
-            iterations: 60,
+            iterations: 80,
             seed: 0,
-            trajectories: 1000,
+            trajectories: 600,
             trajectory_s: 1.0,
-            timestep_s: 0.002,
-            control_hold: 5,
+            timestep_s: 0.004,
+            control_hold: 2,
             continued_share: 0.4,
             good_share: 0.5,
             object_mass_kg: None,
