@@ -1,4 +1,4 @@
-//! What the binary was built from, for the provenance file of each run, and where its MuJoCo library is.
+//! What the binary was built from, for the provenance file of each run, and where its `MuJoCo` library is.
 
 use std::{env, path::Path, process::Command};
 

@@ -145,7 +145,12 @@ fn bare_loop(
     let sampler = trainer.sampler();
     let n_action = sampler.task().n_action();
     let hold = sampler.config().control_hold;
-    let mut result = BareLoop { rate: 0.0, contacts: 0, rows: 0, steps: 0 };
+    let mut result = BareLoop {
+        rate: 0.0,
+        contacts: 0,
+        rows: 0,
+        steps: 0,
+    };
     let mut seconds = 0.0;
     for (index, trajectory) in batch.iter().enumerate() {
         let mut data: Data = sampler.start(request, index as u64)?;

@@ -33,15 +33,33 @@ pub struct Exploration {
 impl Exploration {
     /// Noise of `n_action` actions with correlation ρ, 0 ≤ ρ < 1, between neighbouring steps.
     pub fn new(n_action: usize, correlation: f64) -> Self {
-        Self { correlation, deviation: vec![0.0; n_action], started: false }
+        Self {
+            correlation,
+            deviation: vec![0.0; n_action],
+            started: false,
+        }
     }
 
     /// Draw z of the next step into `noise` and add ε to `action`.
-    pub fn perturb(&mut self, log_sigma: &[f64], rng: &mut Stream, action: &mut [f64], noise: &mut [f64]) {
-        let (keep, fresh) =
-            if self.started { (self.correlation, (1.0 - self.correlation.powi(2)).sqrt()) } else { (0.0, 1.0) };
+    pub fn perturb(
+        &mut self,
+        log_sigma: &[f64],
+        rng: &mut Stream,
+        action: &mut [f64],
+        noise: &mut [f64],
+    ) {
+        let (keep, fresh) = if self.started {
+            (self.correlation, (1.0 - self.correlation.powi(2)).sqrt())
+        } else {
+            (0.0, 1.0)
+        };
         self.started = true;
-        for (((a, z), l), deviation) in action.iter_mut().zip(noise).zip(log_sigma).zip(&mut self.deviation) {
+        for (((a, z), l), deviation) in action
+            .iter_mut()
+            .zip(noise)
+            .zip(log_sigma)
+            .zip(&mut self.deviation)
+        {
             *z = rng::normal(rng);
             *deviation = keep * *deviation + fresh * *z;
             *a += l.exp() * *deviation;
@@ -50,7 +68,12 @@ impl Exploration {
 }
 
 /// Append ψ of an observation that follows `previous` (`None` at the start of a trajectory).
-pub fn score_features(observation: &[f64], previous: Option<&[f64]>, correlation: f64, features: &mut Vec<f64>) {
+pub fn score_features(
+    observation: &[f64],
+    previous: Option<&[f64]>,
+    correlation: f64,
+    features: &mut Vec<f64>,
+) {
     match previous {
         None => {
             features.extend_from_slice(observation);
@@ -58,7 +81,12 @@ pub fn score_features(observation: &[f64], previous: Option<&[f64]>, correlation
         }
         Some(previous) => {
             let scale = 1.0 / (1.0 - correlation * correlation).sqrt();
-            features.extend(observation.iter().zip(previous).map(|(s, p)| scale * (s - correlation * p)));
+            features.extend(
+                observation
+                    .iter()
+                    .zip(previous)
+                    .map(|(s, p)| scale * (s - correlation * p)),
+            );
             features.push(scale * (1.0 - correlation));
         }
     }
@@ -93,10 +121,15 @@ mod tests {
         let (rho, horizon, n, m) = (0.7, 5, 3, 2);
         let mut rng = stream(3, Purpose::Exploration, 0, 0);
         let mut policy = AffineGaussian::zeros(n, m, -0.4);
-        let theta: Vec<f64> = policy.parameters().iter().map(|l| l + 0.3 * rng::normal(&mut rng)).collect();
+        let theta: Vec<f64> = policy
+            .parameters()
+            .iter()
+            .map(|l| l + 0.3 * rng::normal(&mut rng))
+            .collect();
         policy.set_parameters(&theta).expect("finite");
-        let states: Vec<Vec<f64>> =
-            (0..horizon).map(|_| (0..n).map(|_| rng::normal(&mut rng)).collect()).collect();
+        let states: Vec<Vec<f64>> = (0..horizon)
+            .map(|_| (0..n).map(|_| rng::normal(&mut rng)).collect())
+            .collect();
         let mut exploration = Exploration::new(m, rho);
         let mut actions = vec![vec![0.0; m]; horizon];
         let mut noise = vec![vec![0.0; m]; horizon];
@@ -129,7 +162,12 @@ mod tests {
         let mut score = vec![0.0; theta.len()];
         for t in 0..horizon {
             let mut features = Vec::new();
-            score_features(&states[t], t.checked_sub(1).map(|p| states[p].as_slice()), rho, &mut features);
+            score_features(
+                &states[t],
+                t.checked_sub(1).map(|p| states[p].as_slice()),
+                rho,
+                &mut features,
+            );
             for i in 0..m {
                 for (j, feature) in features.iter().enumerate() {
                     score[i * (n + 1) + j] += noise[t][i] * feature / policy.log_sigma()[i].exp();
@@ -143,7 +181,10 @@ mod tests {
             up[k] += step;
             down[k] -= step;
             let difference = (log_density(&up) - log_density(&down)) / (2.0 * step);
-            assert!((difference - expected).abs() < 1e-6 * (1.0 + expected.abs()), "{k}: {difference} {expected}");
+            assert!(
+                (difference - expected).abs() < 1e-6 * (1.0 + expected.abs()),
+                "{k}: {difference} {expected}"
+            );
         }
     }
 }

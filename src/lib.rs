@@ -1,4 +1,23 @@
-//! phantom: training, identification and gap finding on `MuJoCo` 2.2.2.
+//! phantom trains robot policies in `MuJoCo` 2.2.2, after Lowrey, Kolev, Dao, Rajeswaran, Todorov 2018,
+//! "Reinforcement learning for non-prehensile manipulation: Transfer from simulation to physical system".
+//!
+//! Data flows one way; a module imports only what stands further right or below:
+//!
+//! ```text
+//! main → cli → {train, bench} → {npg, rollout, evaluate, run_dir}
+//!                  rollout → {task, policy, exploration, randomise, rng} → mujoco → mujoco_sys
+//! ```
+//!
+//! | word | meaning |
+//! | --- | --- |
+//! | `qpos qvel ctrl qacc nq nv` | as in `MuJoCo` |
+//! | control step | the time for which one action is held, some physics steps |
+//! | trajectory, batch | a rollout of `horizon` control steps; the rollouts of one iteration |
+//! | `step_size_delta` | δ of the normalised natural gradient: twice the KL divergence of a step |
+//! | `*_sigma` | a standard deviation |
+//!
+//! Every random number comes from a stream addressed by seed, purpose, iteration and trajectory ([`rng`]), and every
+//! sum over trajectories runs in a fixed order, so that results do not depend on the number of threads.
 
 pub mod bench;
 pub mod cli;

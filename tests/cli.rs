@@ -4,7 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-const SMALL: &str = "[train]\niterations = 2\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
+const SMALL: &str =
+    "[train]\niterations = 2\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
 
 fn model() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("xml/phantom.xml")
@@ -31,7 +32,10 @@ fn refuses(folder: &Path, args: &[&str], parts: &[&str]) {
     assert_eq!(output.status.code(), Some(2), "{args:?}: {message}");
     assert_eq!(message.trim_end().lines().count(), 1, "{args:?}: {message}");
     for part in parts {
-        assert!(message.contains(part), "{args:?}: `{part}` is not in: {message}");
+        assert!(
+            message.contains(part),
+            "{args:?}: `{part}` is not in: {message}"
+        );
     }
 }
 
@@ -55,18 +59,40 @@ fn a_run_leaves_everything_needed() {
     let folder = folder();
     small_run(folder.path());
     let run = folder.path().join("run");
-    for name in ["config.toml", "model.xml", "provenance.json", "metrics.csv", "checkpoint.json", "policy_last.json"] {
+    for name in [
+        "config.toml",
+        "model.xml",
+        "provenance.json",
+        "metrics.csv",
+        "checkpoint.json",
+        "policy_last.json",
+    ] {
         assert!(run.join(name).is_file(), "{name}");
     }
-    assert!(run.join("tensorboard").read_dir().expect("a folder").next().is_some());
+    assert!(
+        run.join("tensorboard")
+            .read_dir()
+            .expect("a folder")
+            .next()
+            .is_some()
+    );
     let metrics = fs::read_to_string(run.join("metrics.csv")).expect("readable");
     assert_eq!(metrics.lines().count(), 3, "a header and two rows");
     // the resolved configuration is a configuration: the same run again, to the same bits
     let config = run.join("config.toml");
-    let output =
-        phantom(folder.path(), &["train", "--config", config.to_str().expect("UTF-8"), "--out", "again"]);
+    let output = phantom(
+        folder.path(),
+        &[
+            "train",
+            "--config",
+            config.to_str().expect("UTF-8"),
+            "--out",
+            "again",
+        ],
+    );
     assert!(output.status.success(), "{}", text(&output.stderr));
-    let policy = |name: &str| fs::read(folder.path().join(name).join("policy_last.json")).expect("readable");
+    let policy =
+        |name: &str| fs::read(folder.path().join(name).join("policy_last.json")).expect("readable");
     assert_eq!(policy("run"), policy("again"));
 }
 
@@ -74,30 +100,74 @@ fn a_run_leaves_everything_needed() {
 fn resume_after_a_kill_gives_the_same_bits() {
     let folder = folder();
     let path = folder.path();
-    write(path, "a.toml", &SMALL.replace("iterations = 2", "iterations = 20"));
-    write(path, "b.toml", &SMALL.replace("iterations = 2", "iterations = 10"));
-    assert!(phantom(path, &["train", "--config", "a.toml", "--out", "whole"]).status.success());
-    assert!(phantom(path, &["train", "--config", "b.toml", "--out", "parts"]).status.success());
+    write(
+        path,
+        "a.toml",
+        &SMALL.replace("iterations = 2", "iterations = 20"),
+    );
+    write(
+        path,
+        "b.toml",
+        &SMALL.replace("iterations = 2", "iterations = 10"),
+    );
+    assert!(
+        phantom(path, &["train", "--config", "a.toml", "--out", "whole"])
+            .status
+            .success()
+    );
+    assert!(
+        phantom(path, &["train", "--config", "b.toml", "--out", "parts"])
+            .status
+            .success()
+    );
     // what a kill in the middle of an iteration leaves: rows and temporary files that no checkpoint vouches for
     let metrics = path.join("parts/metrics.csv");
     let mut rows = fs::read_to_string(&metrics).expect("readable");
-    let torn = rows.lines().last().expect("a row").replacen("10,", "11,", 1);
+    let torn = rows
+        .lines()
+        .last()
+        .expect("a row")
+        .replacen("10,", "11,", 1);
     rows.push_str(&torn[..torn.len() / 2]);
     fs::write(&metrics, rows).expect("writable");
-    let output = phantom(path, &["train", "--resume", "parts", "--iterations", "20", "--threads", "1"]);
+    let output = phantom(
+        path,
+        &[
+            "train",
+            "--resume",
+            "parts",
+            "--iterations",
+            "20",
+            "--threads",
+            "1",
+        ],
+    );
     assert!(output.status.success(), "{}", text(&output.stderr));
     let read = |name: &str| fs::read_to_string(path.join(name)).expect("readable");
-    assert_eq!(read("whole/policy_last.json"), read("parts/policy_last.json"));
+    assert_eq!(
+        read("whole/policy_last.json"),
+        read("parts/policy_last.json")
+    );
     let iterations = |name: &str| -> Vec<String> {
-        read(name).lines().map(|line| line.split(',').next().unwrap_or_default().to_owned()).collect()
+        read(name)
+            .lines()
+            .map(|line| line.split(',').next().unwrap_or_default().to_owned())
+            .collect()
     };
-    assert_eq!(iterations("whole/metrics.csv"), iterations("parts/metrics.csv"));
+    assert_eq!(
+        iterations("whole/metrics.csv"),
+        iterations("parts/metrics.csv")
+    );
 }
 
 #[test]
 fn ctrl_c_saves_and_says_how_to_go_on() {
     let folder = folder();
-    write(folder.path(), "long.toml", &SMALL.replace("iterations = 2", "iterations = 100000"));
+    write(
+        folder.path(),
+        "long.toml",
+        &SMALL.replace("iterations = 2", "iterations = 100000"),
+    );
     let child = Command::new(env!("CARGO_BIN_EXE_phantom"))
         .current_dir(folder.path())
         .args(["train", "--config", "long.toml", "--out", "run", "--model"])
@@ -113,20 +183,41 @@ fn ctrl_c_saves_and_says_how_to_go_on() {
         }
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
-    let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+    let kill = Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status()
+        .expect("kill runs");
     assert!(kill.success());
     let output = child.wait_with_output().expect("it ends");
     assert!(output.status.success(), "{}", text(&output.stderr));
-    assert!(text(&output.stdout).contains("phantom train --resume run"), "{}", text(&output.stdout));
-    let resumed = phantom(folder.path(), &["train", "--resume", "run", "--iterations", "1"]);
-    assert!(resumed.status.success(), "nothing is left to do, which is no error");
+    assert!(
+        text(&output.stdout).contains("phantom train --resume run"),
+        "{}",
+        text(&output.stdout)
+    );
+    let resumed = phantom(
+        folder.path(),
+        &["train", "--resume", "run", "--iterations", "1"],
+    );
+    assert!(
+        resumed.status.success(),
+        "nothing is left to do, which is no error"
+    );
 }
 
 #[test]
 fn eval_prints_and_writes_the_distance() {
     let folder = folder();
     small_run(folder.path());
-    let args = ["eval", "--policy", "run/policy_last.json", "--rollouts", "2", "--json", "out.json"];
+    let args = [
+        "eval",
+        "--policy",
+        "run/policy_last.json",
+        "--rollouts",
+        "2",
+        "--json",
+        "out.json",
+    ];
     let output = phantom(folder.path(), &args);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let json = fs::read_to_string(folder.path().join("out.json")).expect("written");
@@ -135,11 +226,17 @@ fn eval_prints_and_writes_the_distance() {
     assert_eq!(value["rollouts"].as_array().map(Vec::len), Some(2));
     assert!(text(&output.stdout).contains(&format!("{mean:.2} cm")));
     // the figure is the mean of what the table of steps says
-    let steps = fs::read_to_string(folder.path().join("run/policy_last.spiral.csv")).expect("written");
+    let steps =
+        fs::read_to_string(folder.path().join("run/policy_last.spiral.csv")).expect("written");
     let distances: Vec<f64> = steps
         .lines()
         .skip(1)
-        .map(|line| line.rsplit(',').next().and_then(|cell| cell.parse().ok()).expect("a number"))
+        .map(|line| {
+            line.rsplit(',')
+                .next()
+                .and_then(|cell| cell.parse().ok())
+                .expect("a number")
+        })
         .collect();
     assert_eq!(distances.len(), 2 * 8000, "4 s at 2 kHz, twice");
     let expected = distances.iter().sum::<f64>() / distances.len() as f64;
@@ -156,27 +253,85 @@ fn bad_files_are_named() {
     write(path, "unknown.toml", "[train]\ntrajectoris = 3\n");
     write(path, "negative.toml", "[train]\ntimestep_s = -0.001\n");
     write(path, "typo.toml", "[train\n");
-    write(path, "rule.toml", "[[randomise]]\nelement = \"body/nobody\"\nattribute = \"mass\"\ndistribution = { normal = 0.1 }\n");
+    write(
+        path,
+        "rule.toml",
+        "[[randomise]]\nelement = \"body/nobody\"\nattribute = \"mass\"\ndistribution = { normal = 0.1 }\n",
+    );
     let policy = fs::read_to_string(path.join("run/policy_last.json")).expect("readable");
-    write(path, "size.json", &policy.replace("\"n_observation\": 36", "\"n_observation\": 35"));
-    write(path, "format.json", &policy.replace("phantom-affine-gaussian-1", "something else"));
+    write(
+        path,
+        "size.json",
+        &policy.replace("\"n_observation\": 36", "\"n_observation\": 35"),
+    );
+    write(
+        path,
+        "format.json",
+        &policy.replace("phantom-affine-gaussian-1", "something else"),
+    );
     write(path, "cut.json", &policy[..policy.len() / 2]);
     refuses(path, &["train", "--model", "missing.xml"], &["missing.xml"]);
-    refuses(path, &["train", "--model", "broken.xml"], &["broken.xml", "XML"]);
+    refuses(
+        path,
+        &["train", "--model", "broken.xml"],
+        &["broken.xml", "XML"],
+    );
     refuses(path, &["train", "--model", "other.xml"], &["p0_turret"]);
-    refuses(path, &["train", "--config", "missing.toml"], &["missing.toml", "No such file"]);
-    refuses(path, &["train", "--config", "unknown.toml"], &["unknown.toml:2", "trajectoris"]);
-    refuses(path, &["train", "--config", "negative.toml"], &["negative.toml", "train.timestep_s", "-0.001"]);
+    refuses(
+        path,
+        &["train", "--config", "missing.toml"],
+        &["missing.toml", "No such file"],
+    );
+    refuses(
+        path,
+        &["train", "--config", "unknown.toml"],
+        &["unknown.toml:2", "trajectoris"],
+    );
+    refuses(
+        path,
+        &["train", "--config", "negative.toml"],
+        &["negative.toml", "train.timestep_s", "-0.001"],
+    );
     refuses(path, &["train", "--config", "typo.toml"], &["typo.toml:1"]);
-    refuses(path, &["train", "--config", "rule.toml"], &["body/nobody", "nobody"]);
-    refuses(path, &["train", "--out", "/proc/phantom"], &["/proc/phantom"]);
+    refuses(
+        path,
+        &["train", "--config", "rule.toml"],
+        &["body/nobody", "nobody"],
+    );
+    refuses(
+        path,
+        &["train", "--out", "/proc/phantom"],
+        &["/proc/phantom"],
+    );
     refuses(path, &["train", "--out", "run"], &["run"]);
     refuses(path, &["train", "--resume", "nowhere"], &["nowhere"]);
-    refuses(path, &["eval", "--policy", "missing.json"], &["missing.json"]);
-    refuses(path, &["eval", "--policy", "size.json"], &["size.json", "35"]);
-    refuses(path, &["eval", "--policy", "format.json"], &["format.json", "something else"]);
+    refuses(
+        path,
+        &["eval", "--policy", "missing.json"],
+        &["missing.json"],
+    );
+    refuses(
+        path,
+        &["eval", "--policy", "size.json"],
+        &["size.json", "35"],
+    );
+    refuses(
+        path,
+        &["eval", "--policy", "format.json"],
+        &["format.json", "something else"],
+    );
     refuses(path, &["eval", "--policy", "cut.json"], &["cut.json"]);
-    refuses(path, &["eval", "--policy", "run/policy_last.json", "--json", "/proc/out.json"], &["/proc/out.json"]);
+    refuses(
+        path,
+        &[
+            "eval",
+            "--policy",
+            "run/policy_last.json",
+            "--json",
+            "/proc/out.json",
+        ],
+        &["/proc/out.json"],
+    );
     refuses(path, &["replay", "missing.json"], &["missing.json"]);
     refuses(path, &["replay", "cut.json"], &["cut.json"]);
 }
@@ -191,9 +346,18 @@ fn a_damaged_checkpoint_is_refused_and_left_alone() {
     let metrics = fs::read_to_string(path.join("run/metrics.csv")).expect("readable");
     for (what, damaged) in [
         ("cut short", good[..good.len() / 3].to_owned()),
-        ("null for NaN", good.replacen("\"weights\": [\n", "\"weights\": [\n null,", 1)),
-        ("too large", good.replacen("\"log_sigma\": [\n", "\"log_sigma\": [\n 1e999,", 1)),
-        ("wrong length", good.replacen("\"weights\": [\n", "\"weights\": [\n 0.5,", 1)),
+        (
+            "null for NaN",
+            good.replacen("\"weights\": [\n", "\"weights\": [\n null,", 1),
+        ),
+        (
+            "too large",
+            good.replacen("\"log_sigma\": [\n", "\"log_sigma\": [\n 1e999,", 1),
+        ),
+        (
+            "wrong length",
+            good.replacen("\"weights\": [\n", "\"weights\": [\n 0.5,", 1),
+        ),
         ("empty", String::new()),
     ] {
         fs::write(&file, &damaged).expect("writable");
@@ -201,8 +365,16 @@ fn a_damaged_checkpoint_is_refused_and_left_alone() {
         let message = text(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{what}: {message}");
         assert!(message.contains("checkpoint.json"), "{what}: {message}");
-        assert_eq!(fs::read_to_string(&file).expect("readable"), damaged, "{what}: the file was touched");
-        assert_eq!(fs::read_to_string(path.join("run/metrics.csv")).expect("readable"), metrics, "{what}");
+        assert_eq!(
+            fs::read_to_string(&file).expect("readable"),
+            damaged,
+            "{what}: the file was touched"
+        );
+        assert_eq!(
+            fs::read_to_string(path.join("run/metrics.csv")).expect("readable"),
+            metrics,
+            "{what}"
+        );
     }
 }
 
@@ -211,11 +383,21 @@ fn a_changed_model_is_not_resumed() {
     let folder = folder();
     let path = folder.path();
     small_run(path);
-    let edited = fs::read_to_string(model()).expect("readable").replace("0.34", "0.35");
+    let edited = fs::read_to_string(model())
+        .expect("readable")
+        .replace("0.34", "0.35");
     write(path, "edited.xml", &edited);
     refuses(
         path,
-        &["train", "--resume", "run", "--model", "edited.xml", "--iterations", "5"],
+        &[
+            "train",
+            "--resume",
+            "run",
+            "--model",
+            "edited.xml",
+            "--iterations",
+            "5",
+        ],
         &["edited.xml", "changed"],
     );
 }

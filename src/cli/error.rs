@@ -76,7 +76,11 @@ impl CliError {
     /// Print the sentence to standard error and return the exit code: 3 for a fatal error of the engine, else 2.
     pub fn report(&self) -> ExitCode {
         eprintln!("phantom: {self}");
-        ExitCode::from(if self.engine().is_some_and(MujocoError::is_fatal) { 3 } else { 2 })
+        ExitCode::from(if self.engine().is_some_and(MujocoError::is_fatal) {
+            3
+        } else {
+            2
+        })
     }
 
     /// The engine's error at the bottom, if that is what it is.

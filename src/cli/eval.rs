@@ -73,23 +73,38 @@ impl EvalArgs {
         let task = PushTask::new(&model, PushConfig::default())?;
         policy
             .check(task.n_observation(), task.n_action())
-            .map_err(|source| CliError::Policy { file: self.policy.clone(), source })?;
+            .map_err(|source| CliError::Policy {
+                file: self.policy.clone(),
+                source,
+            })?;
         let randomiser = Randomiser::new(&model, &ensemble_rules(self.base_sigma, self.mass, 0.0))?;
 
         let threads = thread_count(self.threads);
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
-            .map_err(|error| RolloutError::Threads { threads, reason: error.to_string() })?;
+            .map_err(|error| RolloutError::Threads {
+                threads,
+                reason: error.to_string(),
+            })?;
         let model = Arc::new(model);
-        let request = EvaluationRequest { n_rollout: self.rollouts, seed: self.seed };
+        let request = EvaluationRequest {
+            n_rollout: self.rollouts,
+            seed: self.seed,
+        };
         let evaluation = pool.install(|| evaluate(&model, &task, &randomiser, &policy, request))?;
 
-        let steps = self.steps.clone().unwrap_or_else(|| self.policy.with_extension("spiral.csv"));
+        let steps = self
+            .steps
+            .clone()
+            .unwrap_or_else(|| self.policy.with_extension("spiral.csv"));
         write_steps(&steps, &evaluation)?;
         if let Some(file) = &self.json {
-            let text = serde_json::to_string_pretty(&evaluation)
-                .map_err(|error| CliError::File { file: file.clone(), reason: error.to_string() })?;
+            let text =
+                serde_json::to_string_pretty(&evaluation).map_err(|error| CliError::File {
+                    file: file.clone(),
+                    reason: error.to_string(),
+                })?;
             run_dir::write_atomic(file, (text + "\n").as_bytes())?;
         }
         print(&evaluation, &steps);
@@ -101,7 +116,10 @@ impl EvalArgs {
 fn print(evaluation: &Evaluation, steps: &Path) {
     println!("rollout  mean distance   rms torque");
     for (index, rollout) in evaluation.rollouts.iter().enumerate() {
-        let note = rollout.diverged.as_ref().map_or(String::new(), |reason| format!("  diverged: {reason}"));
+        let note = rollout
+            .diverged
+            .as_ref()
+            .map_or(String::new(), |reason| format!("  diverged: {reason}"));
         println!(
             "{index:7}  {:10.2} cm  {:7.3} N m{note}",
             rollout.mean_distance_cm, rollout.rms_torque_nm
@@ -118,19 +136,32 @@ fn print(evaluation: &Evaluation, steps: &Path) {
 
 /// One row a step: rollout, time, target, object, distance.
 fn write_steps(path: &Path, evaluation: &Evaluation) -> Result<(), CliError> {
-    let failed = |error: csv::Error| CliError::File { file: path.to_owned(), reason: error.to_string() };
+    let failed = |error: csv::Error| CliError::File {
+        file: path.to_owned(),
+        reason: error.to_string(),
+    };
     let mut csv = csv::Writer::from_writer(Vec::new());
-    csv.write_record(["rollout", "time_s", "target_x_m", "target_y_m", "object_x_m", "object_y_m", "distance_cm"])
-        .map_err(failed)?;
+    csv.write_record([
+        "rollout",
+        "time_s",
+        "target_x_m",
+        "target_y_m",
+        "object_x_m",
+        "object_y_m",
+        "distance_cm",
+    ])
+    .map_err(failed)?;
     for (index, rollout) in evaluation.rollouts.iter().enumerate() {
         for step in &rollout.steps {
             let [tx, ty] = step.target_m;
             let [ox, oy] = step.object_m;
-            csv.serialize((index, step.time_s, tx, ty, ox, oy, step.distance_cm)).map_err(failed)?;
+            csv.serialize((index, step.time_s, tx, ty, ox, oy, step.distance_cm))
+                .map_err(failed)?;
         }
     }
-    let bytes = csv
-        .into_inner()
-        .map_err(|error| CliError::File { file: path.to_owned(), reason: error.to_string() })?;
+    let bytes = csv.into_inner().map_err(|error| CliError::File {
+        file: path.to_owned(),
+        reason: error.to_string(),
+    })?;
     Ok(run_dir::write_atomic(path, &bytes)?)
 }

@@ -22,7 +22,12 @@ const DEFAULT_MODEL: &str = "xml/phantom.xml";
 
 /// Train robot policies in `MuJoCo`, and test them.
 #[derive(Debug, Parser)]
-#[command(version, about, propagate_version = true, arg_required_else_help = true)]
+#[command(
+    version,
+    about,
+    propagate_version = true,
+    arg_required_else_help = true
+)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -31,13 +31,21 @@ impl ReplayArgs {
         let dump: Dump = run_dir::read_json(&self.dump)?;
         let seed = dump.config.train.seed;
         let model = load_model(self.model.as_deref().unwrap_or(&dump.model))?;
-        let trainer = Trainer::new(model, dump.config, 1)
-            .map_err(|error| CliError::File { file: self.dump.clone(), reason: error.to_string() })?;
+        let trainer = Trainer::new(model, dump.config, 1).map_err(|error| CliError::File {
+            file: self.dump.clone(),
+            reason: error.to_string(),
+        })?;
         let seen = trainer
             .sampler()
             .replay(seed, &dump.diverged)
-            .map_err(|error| CliError::File { file: self.dump.clone(), reason: error.to_string() })?;
-        println!("recorded: control step {}: {}", dump.diverged.step, dump.diverged.reason);
+            .map_err(|error| CliError::File {
+                file: self.dump.clone(),
+                reason: error.to_string(),
+            })?;
+        println!(
+            "recorded: control step {}: {}",
+            dump.diverged.step, dump.diverged.reason
+        );
         match seen {
             Some((step, reason)) => {
                 println!("replayed: control step {step}: {reason}");

@@ -91,11 +91,22 @@ impl TrainArgs {
         let begin = Instant::now();
         let mut steps = 0;
         while run.trainer.checkpoint().iteration < total {
-            let record = run.trainer.advance()?;
+            let record = match run.trainer.advance() {
+                Ok(record) => record,
+                Err(error) => {
+                    run.dump_unreported()?;
+                    return Err(error.into());
+                }
+            };
             steps += record.physics_steps;
             let last = record.iteration == total || interrupted.load(Ordering::SeqCst);
             run.save(&record, last)?;
-            show(&bar, &record, run.trainer.checkpoint(), steps as f64 / begin.elapsed().as_secs_f64());
+            show(
+                &bar,
+                &record,
+                run.trainer.checkpoint(),
+                steps as f64 / begin.elapsed().as_secs_f64(),
+            );
             if interrupted.load(Ordering::SeqCst) {
                 break;
             }
@@ -119,19 +130,40 @@ impl TrainArgs {
 
         let provenance = Provenance::capture(threads, std::env::args());
         let out = self.out.clone().unwrap_or_else(|| {
-            let date: String = provenance.started.chars().filter(char::is_ascii_digit).take(14).collect();
+            let date: String = provenance
+                .started
+                .chars()
+                .filter(char::is_ascii_digit)
+                .take(14)
+                .collect();
             PathBuf::from(format!("runs/{date}-seed{}", trainer.config().train.seed))
         });
         let dir = RunDir::create(out)?;
         dir.write_json(PROVENANCE_FILE, &provenance)?;
-        let text = toml::to_string(trainer.config())
-            .map_err(|error| CliError::File { file: dir.file(CONFIG_FILE), reason: error.to_string() })?;
-        let header = format!("# resolved settings of this run\n# model: {}\n", path.display());
+        let text = toml::to_string(trainer.config()).map_err(|error| CliError::File {
+            file: dir.file(CONFIG_FILE),
+            reason: error.to_string(),
+        })?;
+        let header = format!(
+            "# resolved settings of this run\n# model: {}\n",
+            path.display()
+        );
         run_dir::write_atomic(&dir.file(CONFIG_FILE), (header + &text).as_bytes())?;
         run_dir::write_atomic(&dir.file(MODEL_FILE), &read(&path)?)?;
         dir.write_json("model_path.json", &path)?;
-        let metrics = Metrics::create(dir.path(), &columns(&trainer).iter().map(String::as_str).collect::<Vec<_>>())?;
-        Ok(Run { dir, model: path, metrics, trainer })
+        let metrics = Metrics::create(
+            dir.path(),
+            &columns(&trainer)
+                .iter()
+                .map(String::as_str)
+                .collect::<Vec<_>>(),
+        )?;
+        Ok(Run {
+            dir,
+            model: path,
+            metrics,
+            trainer,
+        })
     }
 
     /// Open the folder of an earlier run.
@@ -157,9 +189,24 @@ impl TrainArgs {
         let iteration = checkpoint.iteration;
         trainer
             .restore(checkpoint)
-            .map_err(|error| CliError::File { file: dir.file(CHECKPOINT_FILE), reason: error.to_string() })?;
-        let metrics = Metrics::resume(dir.path(), &columns(&trainer).iter().map(String::as_str).collect::<Vec<_>>(), iteration)?;
-        Ok(Run { dir, model: path, metrics, trainer })
+            .map_err(|error| CliError::File {
+                file: dir.file(CHECKPOINT_FILE),
+                reason: error.to_string(),
+            })?;
+        let metrics = Metrics::resume(
+            dir.path(),
+            &columns(&trainer)
+                .iter()
+                .map(String::as_str)
+                .collect::<Vec<_>>(),
+            iteration,
+        )?;
+        Ok(Run {
+            dir,
+            model: path,
+            metrics,
+            trainer,
+        })
     }
 
     fn override_config(&self, config: &mut TrainConfig) {
@@ -180,21 +227,14 @@ impl Run {
     fn save(&mut self, record: &IterationRecord, last: bool) -> Result<(), CliError> {
         let state = self.trainer.checkpoint();
         let row = row(record, state);
-        let row: Vec<(&str, f64)> = row.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let row: Vec<(&str, f64)> = row
+            .iter()
+            .map(|(name, value)| (name.as_str(), *value))
+            .collect();
         self.metrics.row(record.iteration, &row)?;
         let before = state.n_diverged - record.diverged.len() as u64;
-        for (number, diverged) in record.diverged.iter().enumerate() {
-            if before + number as u64 >= DUMP_LIMIT {
-                break;
-            }
-            let name = format!("diverged-{:05}-{number:03}.json", record.iteration);
-            let dump = Dump {
-                model: self.model.clone(),
-                config: self.trainer.config().clone(),
-                diverged: diverged.clone(),
-            };
-            self.dir.write_json(&name, &dump)?;
-        }
+        let left = DUMP_LIMIT.saturating_sub(before) as usize;
+        self.dump(record.iteration, record.diverged.iter().take(left))?;
         if record.is_best {
             self.dir.write_json(POLICY_BEST, &state.policy)?;
         }
@@ -203,6 +243,35 @@ impl Run {
             self.dir.write_json(CHECKPOINT_FILE, state)?;
         }
         Ok(())
+    }
+}
+
+impl Run {
+    /// Write breakdowns, so that `phantom replay` can show them.
+    fn dump<'a>(
+        &self,
+        iteration: u64,
+        breakdowns: impl Iterator<Item = &'a Diverged>,
+    ) -> Result<(), CliError> {
+        for (number, diverged) in breakdowns.enumerate() {
+            let dump = Dump {
+                model: self.model.clone(),
+                config: self.trainer.config().clone(),
+                diverged: diverged.clone(),
+            };
+            self.dir
+                .write_json(format!("diverged-{iteration:05}-{number:03}.json"), &dump)?;
+        }
+        Ok(())
+    }
+
+    /// Write the breakdowns of an iteration that left nothing to learn from.
+    fn dump_unreported(&self) -> Result<(), CliError> {
+        let breakdowns = self
+            .trainer
+            .unreported_breakdowns()
+            .take(DUMP_LIMIT as usize);
+        self.dump(self.trainer.checkpoint().iteration + 1, breakdowns)
     }
 }
 
@@ -222,18 +291,32 @@ fn interruption() -> Arc<AtomicBool> {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, CliError> {
-    std::fs::read(path).map_err(|reason| CliError::File { file: path.to_owned(), reason: reason.to_string() })
+    std::fs::read(path).map_err(|reason| CliError::File {
+        file: path.to_owned(),
+        reason: reason.to_string(),
+    })
 }
 
 fn read_config(path: &Path) -> Result<TrainConfig, CliError> {
     let bytes = read(path)?;
-    let text = String::from_utf8(bytes)
-        .map_err(|_| CliError::File { file: path.to_owned(), reason: "not UTF-8 text".to_owned() })?;
-    let config: TrainConfig = toml::from_str(&text).map_err(|error| {
-        let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        CliError::Config { file: path.to_owned(), line, reason: error.message().replace('\n', ", ") }
+    let text = String::from_utf8(bytes).map_err(|_| CliError::File {
+        file: path.to_owned(),
+        reason: "not UTF-8 text".to_owned(),
     })?;
-    config.validate().map_err(|source| CliError::Setting { file: path.to_owned(), source })?;
+    let config: TrainConfig = toml::from_str(&text).map_err(|error| {
+        let line = error
+            .span()
+            .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+        CliError::Config {
+            file: path.to_owned(),
+            line,
+            reason: error.message().replace('\n', ", "),
+        }
+    })?;
+    config.validate().map_err(|source| CliError::Setting {
+        file: path.to_owned(),
+        source,
+    })?;
     Ok(config)
 }
 
@@ -269,7 +352,13 @@ const FIXED_COLUMNS: [&str; 25] = [
 fn columns(trainer: &Trainer) -> Vec<String> {
     let groups = trainer.sampler().task().observation_groups();
     let fixed = FIXED_COLUMNS.iter().map(ToString::to_string);
-    fixed.chain(groups.iter().map(|group| format!("half_cosine_{}", group.name))).collect()
+    fixed
+        .chain(
+            groups
+                .iter()
+                .map(|group| format!("half_cosine_{}", group.name)),
+        )
+        .collect()
 }
 
 /// The numbers of an iteration by column.
@@ -288,12 +377,21 @@ fn row(record: &IterationRecord, state: &Checkpoint) -> Vec<(String, f64)> {
     put("trajectories", record.n_trajectory as f64);
     put("sigma_nm", record.sigma);
     put("n_diverged", state.n_diverged as f64);
-    put("update_skipped", f64::from(u8::from(record.update.is_err())));
-    put("physics_steps_per_s", record.physics_steps as f64 / record.rollout_s);
+    put(
+        "update_skipped",
+        f64::from(u8::from(record.update.is_err())),
+    );
+    put(
+        "physics_steps_per_s",
+        record.physics_steps as f64 / record.rollout_s,
+    );
     put("rollout_s", record.rollout_s);
     put("update_s", record.update_s);
     put("evaluate_s", record.evaluate_s);
-    put("best_distance_cm", state.best_distance_cm.unwrap_or(f64::NAN));
+    put(
+        "best_distance_cm",
+        state.best_distance_cm.unwrap_or(f64::NAN),
+    );
     if let Ok(update) = &record.update {
         put("step_size_delta", 2.0 * update.kl_predicted);
         put("kl_predicted", update.kl_predicted);
@@ -325,7 +423,9 @@ fn progress(total: u64, done: u64) -> ProgressBar {
 
 fn show(bar: &ProgressBar, record: &IterationRecord, state: &Checkpoint, steps_per_s: f64) {
     let kl = record.update.as_ref().map_or(f64::NAN, |u| u.kl_measured);
-    let best = state.best_distance_cm.map_or(String::new(), |best| format!(" · spiral {best:.2} cm"));
+    let best = state
+        .best_distance_cm
+        .map_or(String::new(), |best| format!(" · spiral {best:.2} cm"));
     bar.set_message(format!(
         "reward {:.3} · object {:.2} cm{best} · KL {kl:.3} · {:.0}k steps/s",
         record.reward,
@@ -334,13 +434,21 @@ fn show(bar: &ProgressBar, record: &IterationRecord, state: &Checkpoint, steps_p
     ));
     bar.inc(1);
     if let Err(reason) = &record.update {
-        bar.suspend(|| eprintln!("phantom: iteration {}: no update: {reason}", record.iteration));
+        bar.suspend(|| {
+            eprintln!(
+                "phantom: iteration {}: no update: {reason}",
+                record.iteration
+            )
+        });
     }
     if !record.diverged.is_empty() {
         let first = &record.diverged[0].reason;
         let n = record.diverged.len();
         bar.suspend(|| {
-            eprintln!("phantom: iteration {}: {n} trajectories diverged, left out ({first})", record.iteration);
+            eprintln!(
+                "phantom: iteration {}: {n} trajectories diverged, left out ({first})",
+                record.iteration
+            );
         });
     }
 }

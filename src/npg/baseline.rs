@@ -230,9 +230,11 @@ pub fn fit(
     if n_even.min(n_odd) < n {
         return None;
     }
-    let (all, report) = solve(&all, n_even + n_odd)?;
-    let (from_even, _) = solve(&even, n_even)?;
-    let (from_odd, _) = solve(&odd, n_odd)?;
+    let (whole, halves) = rayon::join(
+        || solve(&all, n_even + n_odd),
+        || (solve(&even, n_even), solve(&odd, n_odd)),
+    );
+    let ((all, report), (from_even, _), (from_odd, _)) = (whole?, halves.0?, halves.1?);
     Some(Fit {
         all,
         crossed: [from_odd, from_even],

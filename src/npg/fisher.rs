@@ -128,7 +128,9 @@ impl Fisher {
                     let solved = factor.solve(&DVector::from_column_slice(row));
                     row.copy_from_slice(solved.as_slice());
                 }
-                x[n_weight..].iter_mut().for_each(|value| *value /= 2.0 * (1.0 + self.damping));
+                x[n_weight..]
+                    .iter_mut()
+                    .for_each(|value| *value /= 2.0 * (1.0 + self.damping));
             }
             Factor::Empirical(factor) => {
                 let solved = factor.solve(&DVector::from_column_slice(&x));

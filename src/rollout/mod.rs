@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::exploration::Exploration;
-use crate::mujoco::{Data, Model, MujocoError};
+use crate::mujoco::{Data, Integrator, Model, MujocoError};
 use crate::policy::{AffineGaussian, PolicyError};
 use crate::randomise::{RandomiseError, Randomiser};
 use crate::rng::{self, Purpose};
@@ -117,6 +117,12 @@ impl Sampler {
         }
         if task.n_action() != model.nu() {
             let reason = format!("{} actuators, expected {}", model.nu(), task.n_action());
+            return Err(TaskError::Model { reason }.into());
+        }
+        // mj_step2 integrates by Euler whatever the model says
+        if model.option().integrator == Integrator::Rk4 {
+            let reason =
+                "integrator is RK4, which cannot be cut into mj_step1 and mj_step2".to_owned();
             return Err(TaskError::Model { reason }.into());
         }
         let pool = rayon::ThreadPoolBuilder::new()

@@ -146,10 +146,7 @@ fn units_of_an_observation_do_not_matter() {
     };
     let original = |s: &[f64]| vec![(s[0] - 50.0) / 1000.0, (s[1] + 2.0) / 0.01, s[2]];
     for fisher in [FisherMode::Exact, FisherMode::Empirical] {
-        let config = NpgConfig {
-            fisher,
-            ..white()
-        };
+        let config = NpgConfig { fisher, ..white() };
         let mut policies = [
             AffineGaussian::zeros(3, 2, -1.0),
             AffineGaussian::zeros(3, 2, -1.0),
@@ -188,10 +185,7 @@ fn one_absurd_trajectory_does_not_turn_the_step() {
     for absurd in [-1e2, -1e4, -1e9, 1e9] {
         let mut bad = good.clone();
         bad[6].rewards.fill(absurd);
-        let cosine = cosine(
-            &change(&good, &white()),
-            &change(&bad, &white()),
-        );
+        let cosine = cosine(&change(&good, &white()), &change(&bad, &white()));
         assert!(cosine > 0.9, "{absurd}: {cosine}");
     }
 }
@@ -219,12 +213,8 @@ fn broken_down_trajectories_take_no_part() {
         actions: vec![],
     });
     bad.insert(31, broken.clone());
-    assert_eq!(
-        change(&good, &white()),
-        change(&bad, &white())
-    );
-    let error =
-        update(&mut fresh.clone(), &[broken], &white()).expect_err("nothing left");
+    assert_eq!(change(&good, &white()), change(&bad, &white()));
+    let error = update(&mut fresh.clone(), &[broken], &white()).expect_err("nothing left");
     assert_eq!(error.to_string(), "all 1 trajectories diverged");
 }
 
@@ -233,8 +223,7 @@ fn an_update_that_cannot_be_made_changes_nothing() {
     let fresh = AffineGaussian::zeros(3, 2, -1.0);
     let mut batch = batch(&fresh, 60, HORIZON, observe, |_, _| 0.0);
     let mut policy = fresh.clone();
-    let error =
-        update(&mut policy, &batch, &white()).expect_err("no reward, no direction");
+    let error = update(&mut policy, &batch, &white()).expect_err("no reward, no direction");
     assert!(
         matches!(error, NpgError::Gradient { value: 0.0 }),
         "{error}"

@@ -66,7 +66,10 @@ fn reward_is_the_formula() {
             }
             // what the motors give: 2 N m at most for turret and upper link, 1.55 N m for the crank
             let limit = |k: usize| if k % 3 == 2 { 1.55 } else { 2.0 };
-            let given = action.iter().enumerate().map(|(k, a)| a.clamp(-limit(k), limit(k)));
+            let given = action
+                .iter()
+                .enumerate()
+                .map(|(k, a)| a.clamp(-limit(k), limit(k)));
             expected -= weights[2] * given.map(|a| a * a).sum::<f64>();
             let reward = task.reward(&data);
             // the tip's site may lie off its body's origin by rounding of the file only

@@ -1,6 +1,7 @@
 //! Rollouts: breakdowns and their replay, continued states, and input that does not fit.
 
 use crate::common::{PointMass, phantom_model, point_mass_model, unlimited_model};
+use phantom::mujoco::Integrator;
 use phantom::policy::AffineGaussian;
 use phantom::randomise::{Distribution, Randomiser, Rule};
 use phantom::rng::{self, Purpose};
@@ -55,11 +56,7 @@ fn runaway(gain: f64) -> AffineGaussian {
 
 #[test]
 fn a_breakdown_is_recorded_and_replays() {
-    for (gain, what) in [
-        (300.0, "bad_"),
-        (1e12, "bad_ctrl"),
-        (1e308, "bad_ctrl"),
-    ] {
+    for (gain, what) in [(300.0, "bad_"), (1e12, "bad_ctrl"), (1e308, "bad_ctrl")] {
         let sampler = sampler(2);
         let batch = sample(&sampler, &runaway(gain), 0, &[]);
         let mut n_broken = 0;
@@ -322,4 +319,30 @@ fn the_arm_breaks_down_and_replays_too() {
         let replayed = sampler.replay(5, &dump).expect("replay");
         assert_eq!(replayed, Some((0, dump.reason)));
     }
+}
+
+#[test]
+fn runge_kutta_is_refused() {
+    let mut model = point_mass_model();
+    let mut option = model.option();
+    option.integrator = Integrator::Rk4;
+    let mut edit = model.edit();
+    edit.set_option(&option).expect("a legal option");
+    edit.finish().expect("edited");
+    let config = RolloutConfig {
+        horizon: 1,
+        control_hold: 1,
+        noise_correlation: 0.0,
+    };
+    let sampler = Sampler::new(
+        &model,
+        Arc::new(PointMass),
+        Randomiser::default(),
+        config,
+        1,
+    );
+    let Err(error) = sampler else {
+        panic!("accepted")
+    };
+    assert!(error.to_string().contains("RK4"), "{error}");
 }
