@@ -8,8 +8,8 @@
 //! a_t = μ(s_t) + ε_t,   ε_0 = σ z_0,   ε_t = ρ ε_{t-1} + σ sqrt(1 - ρ²) z_t,   z_t ~ N(0, 1)
 //! ```
 //!
-//! so that given the past, a_t is Gaussian with mean μ(s_t) + ρ (a_{t-1} - μ(s_{t-1})) and standard deviation
-//! σ sqrt(1 - ρ²). For an affine mean the score of the weights is then exactly
+//! so that given the past, `a_t` is Gaussian with mean `μ(s_t) + ρ (a_{t-1} - μ(s_{t-1}))` and standard
+//! deviation `σ sqrt(1 - ρ²)`. For an affine mean the score of the weights is then exactly
 //!
 //! ```text
 //! ∂ log π(a_t | past) / ∂ (W b)_ij = z_i ψ_j / σ_i,    ψ_t = (φ_t - ρ φ_{t-1}) / sqrt(1 - ρ²),   ψ_0 = φ_0

@@ -85,26 +85,33 @@ impl CliError {
 
     /// The engine's error at the bottom, if that is what it is.
     fn engine(&self) -> Option<&MujocoError> {
-        let task = |error| match error {
-            &TaskError::Mujoco(ref engine) => Some(engine),
-            _ => None,
-        };
-        let randomise = |error| match error {
-            &RandomiseError::Mujoco(ref engine) => Some(engine),
-            RandomiseError::Rule { .. } => None,
-        };
-        let rollout = |error| match error {
-            &RolloutError::Mujoco(ref engine) => Some(engine),
-            RolloutError::Task(error) => task(error),
-            RolloutError::Randomise(error) => randomise(error),
-            _ => None,
-        };
         match self {
             Self::Mujoco(engine) | Self::Train(TrainError::Mujoco(engine)) => Some(engine),
-            Self::Task(error) | Self::Train(TrainError::Task(error)) => task(error),
-            Self::Randomise(error) | Self::Train(TrainError::Randomise(error)) => randomise(error),
-            Self::Rollout(error) | Self::Train(TrainError::Rollout(error)) => rollout(error),
+            Self::Task(error) | Self::Train(TrainError::Task(error)) => of_task(error),
+            Self::Randomise(error) | Self::Train(TrainError::Randomise(error)) => {
+                of_randomise(error)
+            }
+            Self::Rollout(error) | Self::Train(TrainError::Rollout(error)) => match error {
+                RolloutError::Mujoco(engine) => Some(engine),
+                RolloutError::Task(error) => of_task(error),
+                RolloutError::Randomise(error) => of_randomise(error),
+                _ => None,
+            },
             _ => None,
         }
+    }
+}
+
+fn of_task(error: &TaskError) -> Option<&MujocoError> {
+    match error {
+        TaskError::Mujoco(engine) => Some(engine),
+        _ => None,
+    }
+}
+
+fn of_randomise(error: &RandomiseError) -> Option<&MujocoError> {
+    match error {
+        RandomiseError::Mujoco(engine) => Some(engine),
+        RandomiseError::Rule { .. } => None,
     }
 }

@@ -46,16 +46,12 @@ impl ReplayArgs {
             "recorded: control step {}: {}",
             dump.diverged.step, dump.diverged.reason
         );
-        match seen {
-            Some((step, reason)) => {
-                println!("replayed: control step {step}: {reason}");
-                let same = step == dump.diverged.step && reason == dump.diverged.reason;
-                Ok(ExitCode::from(u8::from(!same)))
-            }
-            None => {
-                println!("replayed: did not break down");
-                Ok(ExitCode::FAILURE)
-            }
-        }
+        let Some((step, reason)) = seen else {
+            println!("replayed: did not break down");
+            return Ok(ExitCode::FAILURE);
+        };
+        println!("replayed: control step {step}: {reason}");
+        let same = step == dump.diverged.step && reason == dump.diverged.reason;
+        Ok(ExitCode::from(u8::from(!same)))
     }
 }

@@ -26,7 +26,7 @@ const DUMP_LIMIT: u64 = 100;
 
 /// Train a policy by natural policy gradient
 ///
-/// Makes a run folder with the resolved configuration, metrics (CSV and TensorBoard), checkpoints and policies.
+/// Makes a run folder with the resolved configuration, metrics (CSV and event files), checkpoints and policies.
 /// Ctrl-C finishes the iteration and saves; the run can then be continued with --resume.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
@@ -238,7 +238,11 @@ impl Run {
         if record.is_best {
             self.dir.write_json(POLICY_BEST, &state.policy)?;
         }
-        if last || record.iteration % self.trainer.config().train.checkpoint_every == 0 {
+        if last
+            || record
+                .iteration
+                .is_multiple_of(self.trainer.config().train.checkpoint_every)
+        {
             self.dir.write_json(POLICY_LAST, &state.policy)?;
             self.dir.write_json(CHECKPOINT_FILE, state)?;
         }
@@ -438,7 +442,7 @@ fn show(bar: &ProgressBar, record: &IterationRecord, state: &Checkpoint, steps_p
             eprintln!(
                 "phantom: iteration {}: no update: {reason}",
                 record.iteration
-            )
+            );
         });
     }
     if !record.diverged.is_empty() {

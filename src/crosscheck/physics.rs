@@ -196,7 +196,7 @@ fn inverse(data: &mut Data, rng: &mut Stream) -> Result<Inverse, MujocoError> {
     })
 }
 
-/// Controls that are drawn anew every [`HOLD`] steps, uniform within `amplitude` of `centre`.
+/// Controls that are drawn anew every `HOLD` steps, uniform within `amplitude` of `centre`.
 pub fn random_controls(
     mut rng: Stream,
     centre: Vec<f64>,

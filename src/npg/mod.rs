@@ -97,7 +97,7 @@ impl Default for NpgConfig {
             advantage_clip: 5.0,
             value_from: ValueFrom::Crossed,
             value_ridge: 1e-4,
-            value_stride: 6,
+            value_stride: 4,
             noise_correlation: 0.85,
             initial_log_sigma: -1.5,
             log_sigma_floor: -3.0,
