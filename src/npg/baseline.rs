@@ -91,11 +91,15 @@ impl Baseline {
                 .map(|((s, mean), inverse)| ((s - mean) * inverse).clamp(-CLIP, CLIP)),
         );
         let n = observation.len();
+        let products = start + 1 + n;
+        out.resize(products + n * (n + 1) / 2, 0.0);
+        let (linear, mut rest) = out[start + 1..].split_at_mut(n);
         for i in 0..n {
-            let x = out[start + 1 + i];
-            for j in 0..=i {
-                out.push(x * out[start + 1 + j]);
+            let (row, after) = rest.split_at_mut(i + 1);
+            for (product, x) in row.iter_mut().zip(&*linear) {
+                *product = linear[i] * x;
             }
+            rest = after;
         }
         let mut power = 1.0;
         for _ in 0..N_TIME {
