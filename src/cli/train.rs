@@ -151,13 +151,7 @@ impl TrainArgs {
         run_dir::write_atomic(&dir.file(CONFIG_FILE), (header + &text).as_bytes())?;
         run_dir::write_atomic(&dir.file(MODEL_FILE), &read(&path)?)?;
         dir.write_json("model_path.json", &path)?;
-        let metrics = Metrics::create(
-            dir.path(),
-            &columns(&trainer)
-                .iter()
-                .map(String::as_str)
-                .collect::<Vec<_>>(),
-        )?;
+        let metrics = Metrics::create(dir.path(), &names(&columns(&trainer)))?;
         Ok(Run {
             dir,
             model: path,
@@ -193,14 +187,7 @@ impl TrainArgs {
                 file: dir.file(CHECKPOINT_FILE),
                 reason: error.to_string(),
             })?;
-        let metrics = Metrics::resume(
-            dir.path(),
-            &columns(&trainer)
-                .iter()
-                .map(String::as_str)
-                .collect::<Vec<_>>(),
-            iteration,
-        )?;
+        let metrics = Metrics::resume(dir.path(), &names(&columns(&trainer)), iteration)?;
         Ok(Run {
             dir,
             model: path,
@@ -363,6 +350,10 @@ fn columns(trainer: &Trainer) -> Vec<String> {
                 .map(|group| format!("half_cosine_{}", group.name)),
         )
         .collect()
+}
+
+fn names(columns: &[String]) -> Vec<&str> {
+    columns.iter().map(String::as_str).collect()
 }
 
 /// The numbers of an iteration by column.

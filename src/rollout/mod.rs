@@ -239,7 +239,7 @@ impl Sampler {
         let worker = self.workers[0]
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner);
-        let mut data = Data::new(Arc::new(worker.data.model().clone()))?;
+        let mut data = Data::new(Arc::new(worker.data.model().try_clone()?))?;
         self.prepare(&mut data, request, index)?;
         Ok(data)
     }
