@@ -28,6 +28,7 @@ pub mod mujoco;
 pub mod npg;
 pub mod policy;
 pub mod randomise;
+pub mod recording;
 pub mod rng;
 pub mod rollout;
 pub mod run_dir;
