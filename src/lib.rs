@@ -32,5 +32,6 @@ pub mod recording;
 pub mod rng;
 pub mod rollout;
 pub mod run_dir;
+pub mod sysid;
 pub mod task;
 pub mod train;

@@ -1,0 +1,2 @@
+//! System identification.
+pub mod inverse;

@@ -1,0 +1,6 @@
+//! System identification: planted truth comes back.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod inverse;
+mod simulate;
