@@ -24,6 +24,7 @@ pub mod cli;
 pub mod crosscheck;
 pub mod evaluate;
 pub mod exploration;
+pub mod mjcf;
 pub mod mujoco;
 pub mod npg;
 pub mod policy;

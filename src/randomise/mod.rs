@@ -17,6 +17,7 @@ mod resolve;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::mjcf::attribute::bounding_radius;
 use crate::mujoco::{Data, Model, ModelEdit, MujocoError};
 use crate::rng::{self, Stream};
 
@@ -103,13 +104,6 @@ const SURFACE: [&str; 6] = [
     "pair_solref",
     "pair_solimp",
 ];
-
-// `mjtGeom` of the engine's model format
-const SPHERE: i32 = 2;
-const CAPSULE: i32 = 3;
-const ELLIPSOID: i32 = 4;
-const CYLINDER: i32 = 5;
-const BOX: i32 = 6;
 
 #[derive(Debug, Clone)]
 struct Target {
@@ -229,18 +223,5 @@ impl Slot {
         if let Some(array) = edit.numeric_field_mut(self.array) {
             array[self.index] = value;
         }
-    }
-}
-
-/// Radius of the smallest sphere about its centre that holds a geom; `None` for shapes not made of `size`.
-fn bounding_radius(model: &Model, geom: usize) -> Option<f64> {
-    let size = &model.geom_size()[3 * geom..3 * geom + 3];
-    match model.geom_type()[geom] {
-        SPHERE => Some(size[0]),
-        CAPSULE => Some(size[0] + size[1]),
-        ELLIPSOID => Some(size[0].max(size[1]).max(size[2])),
-        CYLINDER => Some(size[0].hypot(size[1])),
-        BOX => Some(size[0].hypot(size[1]).hypot(size[2])),
-        _ => None,
     }
 }
