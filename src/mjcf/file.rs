@@ -64,7 +64,10 @@ pub fn rewrite(
             element: target.element.clone(),
         })?;
         match name {
-            "inertia" => write_inertia(xml, model, target, node, &mut splices),
+            "inertia" => {
+                let only_mass = target.attribute.name == "mass";
+                write_inertia(xml, model, target.id, only_mass, node, &mut splices);
+            }
             "rotation" => {
                 let q = &model.body_quat()[4 * target.id..4 * target.id + 4];
                 let others = ["euler", "axisangle", "xyaxes", "zaxis"];
@@ -73,6 +76,17 @@ pub fn rewrite(
             _ => {
                 let value = text_of(model, target, name, root);
                 set(xml, node, &[(name, value)], &[], &mut splices);
+            }
+        }
+        // a shape that the compiler would take the inertia from
+        if target.attribute.kind == "geom" && matches!(name, "pos" | "size") {
+            let body = model.geom_bodyid()[target.id] as usize;
+            let parent = node.parent().filter(|p| p.has_tag_name("body"));
+            if let Some(parent) =
+                parent.filter(|p| !has_inertial(p) && !done.contains(&("body", body, "inertia")))
+            {
+                done.push(("body", body, "inertia"));
+                write_inertia(xml, model, body, false, parent, &mut splices);
             }
         }
     }
@@ -129,15 +143,23 @@ fn in_degrees(root: Node<'_, '_>) -> bool {
         != Some("radian")
 }
 
-/// Mass, centre and inertia of a body as an `inertial`, or as the mass of its only geom.
+fn has_inertial(body: &Node<'_, '_>) -> bool {
+    body.children().any(|n| n.has_tag_name("inertial"))
+}
+
+/// Mass, centre and inertia of body `id` as an `inertial`, or as the mass of its only geom.
 fn write_inertia(
     xml: &str,
     model: &Model,
-    target: &Target,
+    id: usize,
+    only_mass: bool,
     body: Node<'_, '_>,
     splices: &mut Vec<Splice>,
 ) {
-    let inertia = body_inertia(model, target.id);
+    let inertia = body_inertia(model, id);
+    if inertia.mass <= 0.0 {
+        return;
+    }
     // principal axes, because the compiler diagonalises a full inertia to seven digits only
     let written = [
         ("pos", numbers(&inertia.ipos)),
@@ -152,7 +174,7 @@ fn write_inertia(
             let others = ["fullinertia", "euler", "axisangle", "xyaxes", "zaxis"];
             set(xml, node, &written, &others, splices);
         }
-        None if target.attribute.name == "mass" && geoms.len() == 1 => {
+        None if only_mass && geoms.len() == 1 => {
             set(
                 xml,
                 geoms[0],

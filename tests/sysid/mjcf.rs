@@ -45,9 +45,6 @@ fn text_and_compiled_model_agree() {
             "option" => "option/gravity",
             _ => &format!("{}/p*", attribute.kind),
         };
-        if attribute.kind == "geom" && attribute.name == "size" {
-            continue; // the object's inertia would follow in the compiler only
-        }
         if let Ok(found) = resolve(&model, element, attribute.name, &[]) {
             targets.extend(found);
         } else {
