@@ -63,6 +63,15 @@ pub fn rewrite(
             kind: target.attribute.kind,
             element: target.element.clone(),
         })?;
+        let tag = node.tag_name().name();
+        if matches!(name, "gainprm" | "biasprm") && tag != "general" {
+            let (element, tag) = (target.element.clone(), tag.to_owned());
+            return Err(MjcfError::Shorthand {
+                element,
+                tag,
+                attribute: name.to_owned(),
+            });
+        }
         match name {
             "inertia" => {
                 let only_mass = target.attribute.name == "mass";

@@ -43,4 +43,16 @@ pub enum MjcfError {
         /// its name
         element: String,
     },
+    /// An actuator is written in a short form that lacks the attribute.
+    #[error(
+        "actuator `{element}` is a `{tag}`, which has no {attribute}; write it as a `general` actuator first"
+    )]
+    Shorthand {
+        /// its name
+        element: String,
+        /// the short form
+        tag: String,
+        /// what it lacks
+        attribute: String,
+    },
 }
