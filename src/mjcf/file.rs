@@ -47,6 +47,7 @@ pub fn rewrite(
             // all that describes the mass of a body, and all that describes one contact, is written at once
             "mass" | "ipos" | "inertia" => "inertia",
             "stiffness" | "damping" if target.attribute.kind == "pair" => "solref",
+            "tilt" => "gravity",
             name => name,
         };
         let key = (target.attribute.kind, target.id, name);
