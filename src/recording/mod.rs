@@ -11,7 +11,21 @@
 //!
 //! Stamps are whole nanoseconds, so that they pass through every format unchanged.
 
+mod csv_read;
+mod csv_write;
+mod error;
+mod load;
+mod mcap_read;
+mod mcap_streams;
+mod mcap_write;
+mod merge;
+mod row;
+mod side;
+
 use serde::{Deserialize, Serialize};
+
+pub use error::RecordingError;
+pub use load::{Loaded, read, salvage, write};
 
 /// What a channel is, seen from the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
