@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use phantom::recording::{self, Channel, Kind, Meta, Recording, RecordingError, Stream};
+use phantom::recording::{self, Binding, Channel, Kind, Meta, Recording, RecordingError, Stream};
 use proptest::prelude::*;
 
 fn channel(name: &str, kind: Kind, unit: &str, noise_sigma: Option<f64>) -> Channel {
@@ -151,8 +151,8 @@ fn a_cut_file_is_refused_and_can_be_salvaged() {
             matches!(recording::read(&cut), Err(RecordingError::Damaged { .. })),
             "{part} %"
         );
-        if let Ok(saved) = recording::salvage(&cut) {
-            let stream = &saved.recording.streams[0];
+        if let Ok(saved) = recording::salvage(&cut, &Binding::default()) {
+            let stream = &saved.trials[0].streams[0];
             assert!(saved.damage.is_some());
             assert_eq!(
                 stream.stamps_ns,

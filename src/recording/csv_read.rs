@@ -8,7 +8,7 @@ use std::path::Path;
 use csv::ByteRecord;
 use flate2::read::MultiGzDecoder;
 
-use super::load::{Format, format};
+use super::load::{Format, Loaded, format};
 use super::side::{self, Side};
 use super::{Channel, Kind, Meta, Recording, RecordingError, Stream};
 
@@ -20,45 +20,26 @@ pub(super) const NO_VALUE: &str = "nan";
 const STREAM: &str = "table";
 
 /// Which columns are not channels.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Layout {
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Layout<'a> {
     /// column of times
-    pub(super) time: String,
+    pub(super) time: &'a str,
     /// seconds a unit of it
     pub(super) time_scale: f64,
     /// column that names the trial of a row
-    pub(super) trial: Option<String>,
+    pub(super) trial: Option<&'a str>,
     /// columns left out
-    pub(super) ignore: Vec<String>,
-}
-
-impl Default for Layout {
-    fn default() -> Self {
-        Self {
-            time: TIME.to_owned(),
-            time_scale: 1.0,
-            trial: None,
-            ignore: Vec::new(),
-        }
-    }
-}
-
-/// What could be read of a table.
-pub(super) struct Table {
-    /// in the order in which they begin; one if there is no such column
-    pub(super) trials: Vec<Recording>,
-    /// what ended reading early
-    pub(super) damage: Option<RecordingError>,
+    pub(super) ignore: &'a [String],
 }
 
 /// Read all rows before the first that is not valid.
-pub(super) fn load(path: &Path, layout: &Layout) -> Result<Table, RecordingError> {
+pub(super) fn load(path: &Path, layout: Layout<'_>) -> Result<Loaded, RecordingError> {
     let file = File::open(path).map_err(|error| RecordingError::read(path, &error))?;
     let file = BufReader::with_capacity(1 << 18, file);
     if format(path)? == Format::CsvGz {
-        Reader::new(path, MultiGzDecoder::new(file), layout)?.run()
+        Ok(Reader::new(path, MultiGzDecoder::new(file), layout)?.run())
     } else {
-        Reader::new(path, file, layout)?.run()
+        Ok(Reader::new(path, file, layout)?.run())
     }
 }
 
@@ -79,7 +60,7 @@ struct Reader<'a, R: Read> {
 }
 
 impl<'a, R: Read> Reader<'a, R> {
-    fn new(path: &'a Path, input: R, layout: &Layout) -> Result<Self, RecordingError> {
+    fn new(path: &'a Path, input: R, layout: Layout<'_>) -> Result<Self, RecordingError> {
         let refuse = |reason: String| RecordingError::Content {
             path: path.to_owned(),
             place: "line 1".into(),
@@ -103,17 +84,20 @@ impl<'a, R: Read> Reader<'a, R> {
         if let Some(twice) = names.iter().find(|name| !seen.insert(*name)) {
             return Err(refuse(format!("two columns are called `{twice}`")));
         }
-        let time = find(&layout.time)?;
-        let trial = layout.trial.as_deref().map(find).transpose()?;
+        let time = find(layout.time)?;
+        let trial = layout.trial.map(find).transpose()?;
         let mut others: Vec<usize> = (0..names.len())
             .filter(|i| *i != time && Some(*i) != trial)
             .collect();
-        for name in &layout.ignore {
+        for name in layout.ignore {
             let column = find(name)?;
             others.retain(|i| *i != column);
         }
         if let Some(i) = others.iter().find(|i| names[**i].is_empty()) {
             return Err(refuse(format!("column {} has no name", i + 1)));
+        }
+        if others.is_empty() {
+            return Err(refuse("there is no column of numbers".into()));
         }
         let (blank, columns) = match side::read(path)? {
             Some(side) => split(&side, &names, &others).map_err(refuse)?,
@@ -133,7 +117,7 @@ impl<'a, R: Read> Reader<'a, R> {
         })
     }
 
-    fn run(mut self) -> Result<Table, RecordingError> {
+    fn run(mut self) -> Loaded {
         if self.trial.is_none() {
             self.trials.push(self.blank.clone());
         }
@@ -150,7 +134,7 @@ impl<'a, R: Read> Reader<'a, R> {
                 Err(error) => break Some((error.position().cloned(), reason(&error))),
             }
         };
-        Ok(Table {
+        Loaded {
             damage: damage.map(|(place, reason)| RecordingError::Content {
                 path: self.path.to_owned(),
                 place: format!(
@@ -160,7 +144,8 @@ impl<'a, R: Read> Reader<'a, R> {
                 reason,
             }),
             trials: self.trials,
-        })
+            skipped: Vec::new(),
+        }
     }
 
     /// One line; on an error nothing of it is taken.

@@ -2,14 +2,16 @@
 
 use std::path::Path;
 
-use super::csv_read::{self, Layout};
-use super::{Recording, RecordingError, csv_write, mcap_read, mcap_write};
+use super::{
+    Binding, Recording, RecordingError, binding::read_trials, csv_read, csv_write, mcap_read,
+    mcap_write,
+};
 
 /// What could be read, and what was in the way.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Loaded {
-    /// all before the damage
-    pub recording: Recording,
+    /// all before the damage; one but for tables with a column of trials
+    pub trials: Vec<Recording>,
     /// topics of other encodings, left out
     pub skipped: Vec<String>,
     /// what ended reading early
@@ -45,41 +47,35 @@ pub(super) fn format(path: &Path) -> Result<Format, RecordingError> {
 /// # Errors
 /// The file is missing, damaged in any place, has no numbers, or says what cannot be understood.
 pub fn read(path: &Path) -> Result<Recording, RecordingError> {
-    let loaded = salvage(path)?;
-    match loaded.damage {
-        None => Ok(loaded.recording),
-        Some(damage) => Err(damage),
-    }
+    let mut trials = read_trials(path, &Binding::default())?;
+    // without a column of trials there is one
+    Ok(trials.pop().unwrap_or_default())
 }
 
-/// As [`read`], but a file that is damaged on the way gives what stands before the damage, and the damage.
+/// As [`read_trials`], but a file that is damaged on the way gives what stands before the damage, and the damage.
 ///
 /// # Errors
 /// Not even the beginning can be read.
-pub fn salvage(path: &Path) -> Result<Loaded, RecordingError> {
-    let loaded = match format(path)? {
+pub fn salvage(path: &Path, binding: &Binding) -> Result<Loaded, RecordingError> {
+    let mut loaded = match format(path)? {
         Format::Mcap => mcap_read::load(path)?,
-        Format::Csv | Format::CsvGz => {
-            let table = csv_read::load(path, &Layout::default())?;
-            Loaded {
-                recording: table.trials.into_iter().next().unwrap_or_default(),
-                damage: table.damage,
-                skipped: Vec::new(),
-            }
-        }
+        Format::Csv | Format::CsvGz => csv_read::load(path, binding.layout())?,
     };
-    if loaded.recording.streams.is_empty() {
+    if loaded.trials.iter().all(|r| r.streams.is_empty()) {
         return Err(loaded.damage.unwrap_or_else(|| RecordingError::Content {
             path: path.to_owned(),
-            place: "topics".into(),
+            place: "content".into(),
             reason: match loaded.skipped.as_slice() {
-                [] => "there are none".into(),
+                [] => "there is no data".into(),
                 others => format!(
-                    "none holds rows of numbers in JSON; found {}",
+                    "no topic holds rows of numbers in JSON; found {}",
                     others.join(", ")
                 ),
             },
         }));
+    }
+    for recording in &mut loaded.trials {
+        binding.apply(recording)?;
     }
     Ok(loaded)
 }

@@ -212,7 +212,7 @@ impl Streams {
         }
         let skipped = self.topics.into_values();
         Ok(Loaded {
-            recording: Recording { meta, streams },
+            trials: vec![Recording { meta, streams }],
             skipped: skipped
                 .filter(|(_, target)| matches!(target, Target::Skipped))
                 .map(|(topic, _)| format!("{} ({})", topic.topic, topic.message_encoding))
