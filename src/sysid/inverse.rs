@@ -21,7 +21,9 @@
 
 use std::sync::Arc;
 
-use crate::mujoco::{Data, Integrator, Model, ModelEdit, Result};
+use super::SysidError;
+use super::parameter::Parameters;
+use crate::mujoco::{Data, Integrator, Model, Result};
 
 /// What changed since the last evaluation at the same knot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -87,14 +89,19 @@ impl Inverse {
         &self.data
     }
 
-    /// Changes numbers of the model.
+    /// Gives the model the numbers of `nominal` changed by parameters `x` (free).
     ///
     /// # Errors
     /// A number that is not finite.
-    pub fn edit_model<R>(&mut self, f: impl FnOnce(&mut ModelEdit<'_>) -> R) -> Result<R> {
-        let result = self.data.edit_model(f)?;
+    pub(super) fn set_parameters(
+        &mut self,
+        parameters: &Parameters,
+        nominal: &Model,
+        x: &[f64],
+    ) -> std::result::Result<(), SysidError> {
+        parameters.apply(nominal, x, &mut self.data)?;
         self.damped = self.data.model().dof_damping().iter().any(|&d| d > 0.0);
-        Ok(result)
+        Ok(())
     }
 
     /// Controls for the next evaluation (nu).

@@ -4,4 +4,5 @@
 mod common;
 mod inverse;
 mod mjcf;
+mod push;
 mod simulate;
