@@ -41,8 +41,14 @@ pub struct ScheduleConfig {
     pub iterations: u64,
     /// seed of every random stream
     pub seed: u64,
-    /// trajectories an iteration
+    /// trajectories of the first iteration
     pub trajectories: usize,
+    /// the batch grows up to this while the gradients of its halves disagree
+    pub max_trajectories: usize,
+    /// cosine between the halves' natural gradients below which the batch grows; 0: it does not
+    pub growth_cosine: f64,
+    /// the policy that is evaluated and saved is the mean over about this share of the iterations done; 0: the last one
+    pub average_share: f64,
     /// length of a trajectory, s
     pub trajectory_s: f64,
     /// physics step in training, s (evaluation uses the model's own)
@@ -74,6 +80,9 @@ impl Default for ScheduleConfig {
             iterations: 80,
             seed: 0,
             trajectories: 600,
+            max_trajectories: 1200,
+            growth_cosine: 0.1,
+            average_share: 0.1,
             trajectory_s: 1.0,
             timestep_s: 0.004,
             control_hold: 2,
@@ -132,6 +141,8 @@ impl TrainConfig {
         for (key, value) in [
             ("train.continued_share", train.continued_share),
             ("train.good_share", train.good_share),
+            ("train.growth_cosine", train.growth_cosine),
+            ("train.average_share", train.average_share),
         ] {
             check(
                 key,
@@ -142,6 +153,7 @@ impl TrainConfig {
         }
         for (key, value) in [
             ("train.trajectories", train.trajectories),
+            ("train.max_trajectories", train.max_trajectories),
             ("train.control_hold", train.control_hold),
             ("train.evaluation_rollouts", train.evaluation_rollouts),
             ("train.checkpoint_every", train.checkpoint_every as usize),

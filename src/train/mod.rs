@@ -3,6 +3,7 @@
 //! A [`Trainer`] is advanced one iteration at a time and hands back a record of it; it neither prints nor writes. Its
 //! whole state is a [`Checkpoint`], from which a run continues to the same bits.
 
+mod batch_size;
 pub mod config;
 
 use std::sync::Arc;
@@ -22,6 +23,7 @@ use crate::rollout::{
 };
 use crate::task::push::PushTask;
 use crate::task::{ObservationGroup, Task, TaskError};
+pub use batch_size::BatchSize;
 use config::{SettingError, TrainConfig};
 
 /// Seed of every evaluation during training, so that the figures of a run compare.
@@ -63,8 +65,12 @@ pub enum TrainError {
 pub struct Checkpoint {
     /// iterations done
     pub iteration: u64,
-    /// current policy
+    /// current policy, which acts in training
     pub policy: AffineGaussian,
+    /// mean of the latest policies, which is evaluated and saved
+    pub average: AffineGaussian,
+    /// how many trajectories the next iteration takes
+    pub batch_size: BatchSize,
     /// current value function
     pub baseline: Baseline,
     /// states to continue from
@@ -161,7 +167,9 @@ impl Trainer {
         .with_names(task.observation_names(), task.action_names());
         let state = Checkpoint {
             iteration: 0,
+            average: policy.clone(),
             policy,
+            batch_size: BatchSize::new(config.train.trajectories),
             baseline: Baseline::zero(task.n_value_input()),
             pool: Vec::new(),
             physics_steps: 0,
@@ -189,6 +197,14 @@ impl Trainer {
         checkpoint
             .policy
             .check(self.task.n_observation(), self.task.n_action())?;
+        checkpoint
+            .average
+            .check(self.task.n_observation(), self.task.n_action())?;
+        if !checkpoint.batch_size.is_sound() {
+            return Err(TrainError::Checkpoint(
+                "`batch_size` has no trajectory or a number that is not finite".into(),
+            ));
+        }
         if !checkpoint.baseline.is_sound(self.task.n_value_input()) {
             return Err(TrainError::Checkpoint(
                 "`baseline` has a wrong length or a number that is not finite".into(),
@@ -251,7 +267,7 @@ impl Trainer {
         let request = BatchRequest {
             seed: train.seed,
             iteration: self.state.iteration,
-            n_trajectory: train.trajectories,
+            n_trajectory: self.state.batch_size.n_trajectory(),
             pool: &self.state.pool,
             pool_share: train.continued_share,
         };
@@ -277,6 +293,9 @@ impl Trainer {
             Err(error @ NpgError::NoTrajectory { .. }) => return Err(error.into()),
             other => other.map_err(|error| error.to_string()),
         };
+        if let Ok(report) = &update {
+            self.state.batch_size.follow(report.half_cosine, train);
+        }
         let update_s = update_begin.elapsed().as_secs_f64();
 
         // states to start from
@@ -302,6 +321,10 @@ impl Trainer {
             .collect();
 
         self.state.iteration += 1;
+        let window = 1.0 + train.average_share * self.state.iteration as f64;
+        self.state
+            .average
+            .approach(&self.state.policy, window.recip());
         self.state.physics_steps += physics_steps;
         self.state.n_diverged += diverged.len() as u64;
 
@@ -349,7 +372,7 @@ impl Trainer {
         })
     }
 
-    /// Evaluate the current mean policy on the spiral, with the model's own time step and mass.
+    /// Evaluate the averaged policy, without noise, on the spiral, with the model's own time step and mass.
     ///
     /// # Errors
     /// When the engine fails.
@@ -363,7 +386,7 @@ impl Trainer {
                 &self.model,
                 &self.task,
                 &self.evaluation_randomiser,
-                &self.state.policy,
+                &self.state.average,
                 request,
             )
         })?)
