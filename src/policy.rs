@@ -169,18 +169,6 @@ impl AffineGaussian {
         Ok(())
     }
 
-    /// Move every parameter by `share` of the way to those of `other`.
-    ///
-    /// # Panics
-    /// If the policies differ in size.
-    pub fn approach(&mut self, other: &Self, share: f64) {
-        assert_eq!(self.weights.len(), other.weights.len(), "same task");
-        let pairs = self.weights.iter_mut().zip(&other.weights);
-        for (mine, theirs) in pairs.chain(self.log_sigma.iter_mut().zip(&other.log_sigma)) {
-            *mine += share * (theirs - *mine);
-        }
-    }
-
     /// Hold every log standard deviation at or above `floor`, so that exploration never dies out.
     pub fn raise_log_sigma(&mut self, floor: f64) {
         for value in &mut self.log_sigma {

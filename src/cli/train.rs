@@ -226,14 +226,14 @@ impl Run {
         let left = DUMP_LIMIT.saturating_sub(before) as usize;
         self.dump(record.iteration, record.diverged.iter().take(left))?;
         if record.is_best {
-            self.dir.write_json(POLICY_BEST, &state.average)?;
+            self.dir.write_json(POLICY_BEST, &state.policy)?;
         }
         if last
             || record
                 .iteration
                 .is_multiple_of(self.trainer.config().train.checkpoint_every)
         {
-            self.dir.write_json(POLICY_LAST, &state.average)?;
+            self.dir.write_json(POLICY_LAST, &state.policy)?;
             self.dir.write_json(CHECKPOINT_FILE, state)?;
         }
         Ok(())

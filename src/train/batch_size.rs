@@ -94,6 +94,7 @@ mod tests {
     fn a_configured_batch_above_the_limit_stays() {
         let config = ScheduleConfig {
             max_trajectories: 50,
+            growth_cosine: 0.2,
             ..ScheduleConfig::default()
         };
         let mut size = BatchSize::new(100);
@@ -101,5 +102,10 @@ mod tests {
             size.follow(0.0, &config);
         }
         assert_eq!(size.n_trajectory(), 100);
+        let off = ScheduleConfig::default();
+        for _ in 0..50 {
+            size.follow(-0.5, &off);
+        }
+        assert_eq!(size.n_trajectory(), 100, "growth is off unless asked for");
     }
 }

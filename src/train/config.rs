@@ -45,10 +45,8 @@ pub struct ScheduleConfig {
     pub trajectories: usize,
     /// the batch grows up to this while the gradients of its halves disagree
     pub max_trajectories: usize,
-    /// cosine between the halves' natural gradients below which the batch grows; 0: it does not
+    /// cosine between the halves' natural gradients below which the batch grows; 0: it stays
     pub growth_cosine: f64,
-    /// the policy that is evaluated and saved is the mean over about this share of the iterations done; 0: the last one
-    pub average_share: f64,
     /// length of a trajectory, s
     pub trajectory_s: f64,
     /// physics step in training, s (evaluation uses the model's own)
@@ -81,8 +79,7 @@ impl Default for ScheduleConfig {
             seed: 0,
             trajectories: 600,
             max_trajectories: 1200,
-            growth_cosine: 0.1,
-            average_share: 0.1,
+            growth_cosine: 0.0,
             trajectory_s: 1.0,
             timestep_s: 0.004,
             control_hold: 2,
@@ -142,7 +139,6 @@ impl TrainConfig {
             ("train.continued_share", train.continued_share),
             ("train.good_share", train.good_share),
             ("train.growth_cosine", train.growth_cosine),
-            ("train.average_share", train.average_share),
         ] {
             check(
                 key,

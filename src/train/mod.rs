@@ -65,10 +65,8 @@ pub enum TrainError {
 pub struct Checkpoint {
     /// iterations done
     pub iteration: u64,
-    /// current policy, which acts in training
+    /// current policy
     pub policy: AffineGaussian,
-    /// mean of the latest policies, which is evaluated and saved
-    pub average: AffineGaussian,
     /// how many trajectories the next iteration takes
     pub batch_size: BatchSize,
     /// current value function
@@ -167,7 +165,6 @@ impl Trainer {
         .with_names(task.observation_names(), task.action_names());
         let state = Checkpoint {
             iteration: 0,
-            average: policy.clone(),
             policy,
             batch_size: BatchSize::new(config.train.trajectories),
             baseline: Baseline::zero(task.n_value_input()),
@@ -196,9 +193,6 @@ impl Trainer {
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Result<(), TrainError> {
         checkpoint
             .policy
-            .check(self.task.n_observation(), self.task.n_action())?;
-        checkpoint
-            .average
             .check(self.task.n_observation(), self.task.n_action())?;
         if !checkpoint.batch_size.is_sound() {
             return Err(TrainError::Checkpoint(
@@ -321,10 +315,6 @@ impl Trainer {
             .collect();
 
         self.state.iteration += 1;
-        let window = 1.0 + train.average_share * self.state.iteration as f64;
-        self.state
-            .average
-            .approach(&self.state.policy, window.recip());
         self.state.physics_steps += physics_steps;
         self.state.n_diverged += diverged.len() as u64;
 
@@ -372,7 +362,7 @@ impl Trainer {
         })
     }
 
-    /// Evaluate the averaged policy, without noise, on the spiral, with the model's own time step and mass.
+    /// Evaluate the current mean policy on the spiral, with the model's own time step and mass.
     ///
     /// # Errors
     /// When the engine fails.
@@ -386,7 +376,7 @@ impl Trainer {
                 &self.model,
                 &self.task,
                 &self.evaluation_randomiser,
-                &self.state.average,
+                &self.state.policy,
                 request,
             )
         })?)
