@@ -6,7 +6,7 @@
 //! w = argmin Σ (w·ψ - y)² / n + ridge Σ' w²                (the constant is not shrunk)
 //! ```
 //!
-//! An input takes part when at least [`INDEPENDENT`] of its variance in the batch is no linear function of the inputs
+//! An input takes part when at least a hundredth of its variance in the batch is no linear function of the inputs
 //! before it. The hinges of a parallel linkage and their velocities are such functions of each other: 26 of the pushing
 //! task's 38 inputs take part, which makes 382 features in place of 784.
 //!

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! One cosine is itself uncertain by about 1/√(number of parameters), so a running mean of it is followed: as long as
-//! that is below `growth_cosine`, each batch is larger than the last by [`GROWTH`], up to `max_trajectories`.
+//! that is below `growth_cosine`, each batch is larger than the last by 5 %, up to `max_trajectories`.
 
 use serde::{Deserialize, Serialize};
 
@@ -45,9 +45,10 @@ impl BatchSize {
 
     /// Take note of an iteration's half-batch cosine (not a number: left out).
     pub fn follow(&mut self, half_cosine: f64, config: &ScheduleConfig) {
-        if half_cosine.is_finite() {
-            self.cosine += LATEST * (half_cosine - self.cosine);
+        if !half_cosine.is_finite() {
+            return;
         }
+        self.cosine += LATEST * (half_cosine - self.cosine);
         if config.growth_cosine > 0.0 && self.cosine < config.growth_cosine {
             // a batch that is larger by configuration stays
             let limit = (config.max_trajectories as f64).max(self.size);
