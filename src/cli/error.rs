@@ -8,6 +8,7 @@ use thiserror::Error;
 use crate::mujoco::MujocoError;
 use crate::policy::PolicyError;
 use crate::randomise::RandomiseError;
+use crate::recording::RecordingError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
 use crate::task::TaskError;
@@ -55,6 +56,9 @@ pub enum CliError {
         /// what is wrong
         reason: String,
     },
+    /// A recording or its binding table is not usable.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// The engine failed.
     #[error(transparent)]
     Mujoco(#[from] MujocoError),

@@ -6,6 +6,7 @@
 mod bench;
 mod error;
 mod eval;
+mod recording;
 mod replay;
 mod train;
 
@@ -43,6 +44,7 @@ enum Command {
     Bench(bench::BenchArgs),
     /// Run a trajectory again that broke down in training
     Replay(replay::ReplayArgs),
+    Recording(recording::RecordingArgs),
 }
 
 impl Cli {
@@ -56,6 +58,7 @@ impl Cli {
             Command::Eval(args) => args.run(),
             Command::Bench(args) => args.run(),
             Command::Replay(args) => args.run(),
+            Command::Recording(args) => args.run(),
         }
     }
 }

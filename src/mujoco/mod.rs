@@ -25,6 +25,7 @@ mod guard;
 mod kinds;
 mod model;
 mod outcome;
+mod sensor;
 mod state;
 mod swap;
 

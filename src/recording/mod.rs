@@ -1,6 +1,6 @@
 //! Recorded logs of a machine: several streams, each with its own clock, channels and units.
 //!
-//! A recording is read from and written to MCAP, or CSV ([`read`], [`write`]). In memory a stream holds its stamps
+//! A recording is read from and written to MCAP, or CSV ([`read()`], [`write()`]). In memory a stream holds its stamps
 //! and one row of numbers a stamp:
 //!
 //! ```text
@@ -11,7 +11,27 @@
 //!
 //! Stamps are whole nanoseconds, so that they pass through every format unchanged.
 
+mod binding;
+mod bound;
+mod check;
+mod csv_read;
+mod csv_write;
+mod error;
+mod load;
+mod mcap_read;
+mod mcap_streams;
+mod mcap_write;
+mod merge;
+mod row;
+mod side;
+
 use serde::{Deserialize, Serialize};
+
+pub use binding::{Binding, Rule, read_trials};
+pub use bound::{Bound, BoundChannel, Unbound};
+pub use check::{Finding, Severity, check, check_file};
+pub use error::RecordingError;
+pub use load::{Loaded, read, salvage, write};
 
 /// What a channel is, seen from the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -131,6 +151,11 @@ impl Stream {
 }
 
 impl Recording {
+    /// All channels, stream by stream.
+    pub fn channels(&self) -> impl Iterator<Item = &Channel> {
+        self.streams.iter().flat_map(|s| &s.channels)
+    }
+
     /// The stream and column of a channel.
     pub fn channel(&self, name: &str) -> Option<(&Stream, usize)> {
         self.streams.iter().find_map(|stream| {

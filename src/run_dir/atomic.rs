@@ -14,13 +14,24 @@ use super::RunDirError;
 /// # Errors
 /// Names the file and the system's reason; the old file is then untouched and nothing is left behind.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), RunDirError> {
+    write_atomic_with(path, |file| file.write_all(bytes))
+}
+
+/// As [`write_atomic`], of bytes that `fill` writes one after the other.
+///
+/// # Errors
+/// As [`write_atomic`], and what `fill` returns.
+pub fn write_atomic_with(
+    path: &Path,
+    fill: impl FnOnce(&mut File) -> io::Result<()>,
+) -> Result<(), RunDirError> {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
     let replace = || -> io::Result<()> {
         let mut temporary = temporary_in(folder)?;
-        temporary.write_all(bytes)?;
+        fill(temporary.as_file_mut())?;
         temporary.as_file().sync_all()?;
         temporary.persist(path).map_err(|e| e.error)?;
         // the new name is an entry of the folder, which has to reach the disk too

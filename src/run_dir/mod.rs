@@ -23,7 +23,7 @@ use std::{
 
 use serde::{Serialize, de::DeserializeOwned};
 
-pub use atomic::write_atomic;
+pub use atomic::{write_atomic, write_atomic_with};
 pub use error::RunDirError;
 pub use metrics::Metrics;
 pub use provenance::Provenance;
