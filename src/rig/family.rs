@@ -142,7 +142,6 @@ fn suits(model: &Model, axes: &[Axis], effect: Effect, place: Place, id: usize) 
     let free = || model.body_dofnum()[id] == 6;
     let fixed_base = || model.body_parentid()[id] == 0 && model.body_dofnum()[id] == 0;
     match effect {
-        Effect::JointStop => axis(|a| a.joint).is_some_and(|a| a.joint_range.is_some()),
         Effect::JointCoupling => axes.len() > 1 && axis(|a| a.joint).is_some(),
         Effect::ObjectMass => free(),
         Effect::BasePose => fixed_base() && model.body_mocapid()[id] < 0,

@@ -38,6 +38,8 @@ const PUSH_DEPTH: f64 = 0.02;
 const PUSH_GOAL: f64 = 400.0;
 const PUSH_DAMPING: f64 = 2.5;
 const N_DIRECTION: usize = 8;
+/// Time a direction: faster, and the fingers lose the object.
+const PUSH_S: f64 = 1.875;
 
 /// Reference of a finger: where, how fast, and a force.
 struct Pull {
@@ -280,17 +282,15 @@ impl Behaviour for Grip {
 /// The hand-made policy of `scripts/hand_policy.py`, with the tips' Jacobians of the present posture.
 struct Push {
     hand: Hand,
-    seconds: f64,
 }
 
 pub(super) fn push(
     estimate: &mut Estimate,
-    seconds: f64,
+    _seconds: f64,
     _rng: Stream,
 ) -> Result<Box<dyn Behaviour>, RigError> {
     Ok(Box::new(Push {
         hand: Hand::find(estimate)?,
-        seconds,
     }))
 }
 
@@ -317,10 +317,9 @@ impl Behaviour for Push {
     }
 
     fn goal(&self, time_s: f64) -> Option<[f64; 3]> {
-        let span = (self.seconds - GATHER_S).max(0.1) / N_DIRECTION as f64;
         let time_s = (time_s - GATHER_S).max(0.0);
-        let direction = (time_s / span).floor();
-        let share = time_s / span - direction;
+        let direction = (time_s / PUSH_S).floor();
+        let share = time_s / PUSH_S - direction;
         let out = smooth(share / 0.4) * smooth((1.0 - share) / 0.4);
         // neighbours in time are no neighbours in direction: 0, 135, 270, ... degrees
         let angle = 3.0 * direction * TAU / N_DIRECTION as f64;

@@ -153,8 +153,9 @@ pub(in crate::rig) fn terms(model: &Model, bound: &Bound) -> Result<Vec<Term>, S
             Effect::ViscousFriction => Law::Viscous { damping: v(0) },
             Effect::CoulombFriction => friction(Level::Coulomb { torque: v(0) }),
             Effect::AsymmetricFriction => friction(Level::Asymmetric {
-                forwards: v(1) + v(0),
-                backwards: v(1) - v(0),
+                // friction never drives
+                forwards: (v(1) + v(0)).max(0.0),
+                backwards: (v(1) - v(0)).max(0.0),
             }),
             Effect::StribeckFriction => {
                 if v(2) <= 0.0 {
@@ -178,15 +179,10 @@ pub(in crate::rig) fn terms(model: &Model, bound: &Bound) -> Result<Vec<Term>, S
                 per_turn: v(1),
                 phase: v(2),
             },
-            Effect::JointStop => {
-                if model.jnt_limited()[joint] == 0 {
-                    return Err("the joint has no limit to put a stop inside of".to_owned());
-                }
-                Law::Stop {
-                    stiffness: v(0),
-                    at: model.jnt_range()[2 * joint + 1] - v(1),
-                }
-            }
+            Effect::JointStop => Law::Stop {
+                stiffness: v(0),
+                at: v(1),
+            },
             Effect::JointCoupling => {
                 let partner = bound.partner.unwrap_or(joint);
                 // the reaction on the partner is the same law seen from there

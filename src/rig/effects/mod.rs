@@ -120,7 +120,7 @@ catalogue! {
     CoulombFriction "coulomb_friction" Joint "torque -c sgn v, with stiction"
         [torque_nm "N m" 0.005 0.04 None;]
     AsymmetricFriction "asymmetric_friction" Joint "torque -(c + a) forwards, +(c - a) backwards"
-        [difference_nm "N m" 0.005 0.02 None; torque_nm "N m" 0.01 0.03 Some(0.0);]
+        [difference_nm "N m" 0.004 0.01 None; torque_nm "N m" 0.01 0.03 Some(0.01);]
     StribeckFriction "stribeck_friction" Joint "torque -(c + s exp(-(v/v_s)^2)) sgn v"
         [excess_nm "N m" 0.01 0.04 None; torque_nm "N m" 0.005 0.02 Some(0.0);
          speed_rad_s "rad/s" 0.02 0.2 Some(0.1);]
@@ -144,7 +144,7 @@ catalogue! {
     TorqueGain "torque_gain" Actuator "motor torque times 1 + g"
         [gain "1" 0.03 0.15 None;]
     TorqueSaturation "torque_saturation" Actuator "motor torque limited to 1 - c of the range of its control"
-        [cut "1" 0.5 0.9 None;]
+        [cut "1" 0.85 0.92 None;]
     ActuatorLag "actuator_lag" Actuator "first-order lag of the motor torque"
         [time_s "s" 0.001 0.008 None;]
     ActuatorDelay "actuator_delay" Actuator "motor torque later by a time"
@@ -159,8 +159,8 @@ catalogue! {
         [compliance_rad_nm "rad/(N m)" 0.002 0.02 None;]
     JointCoupling "joint_coupling" Joint "spring k/2 (q - p)^2, p of the joint named by `with`"
         [stiffness_nm_rad "N m/rad" 0.03 0.3 None;]
-    JointStop "joint_stop" Joint "one-sided spring inside the upper limit"
-        [stiffness_nm_rad "N m/rad" 2.0 20.0 None; inside_rad "rad" 0.3 0.5 Some(0.4);]
+    JointStop "joint_stop" Joint "one-sided spring beyond an angle"
+        [stiffness_nm_rad "N m/rad" 2.0 20.0 None; at_rad "rad" 0.02 0.08 Some(0.05);]
     EncoderOffset "encoder_offset" Joint "measured position + b"
         [offset_rad "rad" 0.003 0.02 None;]
     EncoderScale "encoder_scale" Joint "measured position times 1 + s"
