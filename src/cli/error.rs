@@ -9,6 +9,7 @@ use crate::mujoco::MujocoError;
 use crate::policy::PolicyError;
 use crate::randomise::RandomiseError;
 use crate::recording::RecordingError;
+use crate::rig::RigError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
 use crate::task::TaskError;
@@ -59,6 +60,14 @@ pub enum CliError {
     /// A recording or its binding table is not usable.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// A rig cannot be built or run.
+    #[error("{}: {source}", file.display())]
+    Rig {
+        /// the rig file
+        file: PathBuf,
+        /// what is wrong
+        source: RigError,
+    },
     /// The engine failed.
     #[error(transparent)]
     Mujoco(#[from] MujocoError),
@@ -91,6 +100,12 @@ impl CliError {
     fn engine(&self) -> Option<&MujocoError> {
         match self {
             Self::Mujoco(engine) | Self::Train(TrainError::Mujoco(engine)) => Some(engine),
+            Self::Rig { source, .. } => match source {
+                RigError::Mujoco(engine) => Some(engine),
+                RigError::Task(error) => of_task(error),
+                RigError::Randomise(error) => of_randomise(error),
+                _ => None,
+            },
             Self::Task(error) | Self::Train(TrainError::Task(error)) => of_task(error),
             Self::Randomise(error) | Self::Train(TrainError::Randomise(error)) => {
                 of_randomise(error)

@@ -291,21 +291,7 @@ fn read(path: &Path) -> Result<Vec<u8>, CliError> {
 }
 
 fn read_config(path: &Path) -> Result<TrainConfig, CliError> {
-    let bytes = read(path)?;
-    let text = String::from_utf8(bytes).map_err(|_| CliError::File {
-        file: path.to_owned(),
-        reason: "not UTF-8 text".to_owned(),
-    })?;
-    let config: TrainConfig = toml::from_str(&text).map_err(|error| {
-        let line = error
-            .span()
-            .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        CliError::Config {
-            file: path.to_owned(),
-            line,
-            reason: error.message().replace('\n', ", "),
-        }
-    })?;
+    let config: TrainConfig = super::read_toml(path)?;
     config.validate().map_err(|source| CliError::Setting {
         file: path.to_owned(),
         source,

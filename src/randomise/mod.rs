@@ -14,6 +14,8 @@
 
 mod resolve;
 
+pub(crate) use resolve::glob_matches;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -233,7 +235,7 @@ impl Slot {
 }
 
 /// Radius of the smallest sphere about its centre that holds a geom; `None` for shapes not made of `size`.
-fn bounding_radius(model: &Model, geom: usize) -> Option<f64> {
+pub(crate) fn bounding_radius(model: &Model, geom: usize) -> Option<f64> {
     let size = &model.geom_size()[3 * geom..3 * geom + 3];
     match model.geom_type()[geom] {
         SPHERE => Some(size[0]),

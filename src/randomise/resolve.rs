@@ -193,7 +193,7 @@ fn array_rows(model: &Model, attribute: &Attribute, id: usize) -> std::ops::Rang
 }
 
 /// Whether `name` matches a glob of literal characters, `*` (any run) and `?` (any one character).
-fn glob_matches(glob: &str, name: &str) -> bool {
+pub(crate) fn glob_matches(glob: &str, name: &str) -> bool {
     match glob.chars().next() {
         None => name.is_empty(),
         Some('*') => {
