@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use phantom::mujoco::{Data, Integrator, Model};
+use phantom::policy::AffineGaussian;
 use phantom::recording::Recording;
-use phantom::rig::behaviour::{self, BEHAVIOURS};
+use phantom::rig::behaviour::{self, BEHAVIOURS, PolicyBehaviour};
 use phantom::rig::effects::{self, CATALOGUE, EffectConfig, Place};
 use phantom::rig::{Outcome, Rig, RigConfig, Scheme, Trial};
 use std::sync::Arc;
@@ -195,6 +196,31 @@ fn contact_behaviours_do_what_they_say() {
     let press = size(&run(&rig, "press", 4.0, 0).recording);
     assert!((2.5..15.0).contains(&press), "{press} N");
     assert!(size(&touch) > 0.2, "{} N", size(&touch));
+}
+
+#[test]
+fn a_policy_sees_sensed_state_and_its_goal_is_recorded() {
+    let rig = rig(shipped("rigs/nominal.toml"));
+    let mut policy = AffineGaussian::zeros(36, 9, -1.0);
+    let mut theta = policy.parameters();
+    theta[0] = 2.0; // first motor against its own joint, the first observation
+    theta[36] = 0.1; // and a constant
+    policy.set_parameters(&theta).expect("finite");
+    let mut behaviour = PolicyBehaviour::new(policy, rig.model()).expect("it fits");
+    let trial = Trial {
+        number: 0,
+        label: "policy".to_owned(),
+        seconds: 0.05,
+    };
+    let outcome = rig.record(&mut behaviour, &trial, |_| {}).expect("runs");
+    let (joints, position) = outcome.recording.channel("p0_turret_pos").expect("a joint");
+    let (commands, control) = outcome.recording.channel("p0_m1").expect("a motor");
+    for k in 0..joints.len() {
+        let expected = 2.0 * joints.row(k)[position] + 0.1;
+        assert!((commands.row(k)[control] - expected).abs() < 1e-12);
+    }
+    assert!(outcome.recording.channel("goal[2]").is_some());
+    assert!(PolicyBehaviour::new(AffineGaussian::zeros(3, 9, 0.0), rig.model()).is_err());
 }
 
 #[test]
@@ -409,28 +435,25 @@ fn bad_rigs_are_refused_by_name() {
     assert!(toml::from_str::<RigConfig>("subtseps = 3\n").is_err());
 }
 
-/// `cargo test --release --test rig -- --ignored cost`
+/// `cargo test --release --test rig -- --ignored --nocapture cost`
 #[test]
 #[ignore = "timing"]
+#[expect(clippy::print_stderr, reason = "the figure is the point")]
 fn recording_costs_at_most_a_fifth_of_the_simulation() {
     let rig = rig(shipped("rigs/paper.toml"));
-    let mut ratios: Vec<f64> = (0..5)
-        .map(|number| {
-            let outcome = run(&rig, "push", 3.0, number);
-            let commands = outcome.recording.streams.iter();
-            let commands = commands
-                .filter(|s| s.name == "commands")
-                .flat_map(|s| &s.values);
-            let bare = rig
-                .replay(&commands.copied().collect::<Vec<_>>())
-                .expect("a replay");
-            let with = outcome.cost.simulation + outcome.cost.recording;
-            with.as_secs_f64() / bare.as_secs_f64()
-        })
-        .collect();
-    ratios.sort_by(f64::total_cmp);
-    assert!(
-        ratios[2] < 1.2,
-        "with recording / bare simulation: {ratios:?}"
-    );
+    // the fastest of some runs of the same trial: other work on the machine only ever slows a run down
+    let (mut with, mut bare) = (f64::INFINITY, f64::INFINITY);
+    for _ in 0..5 {
+        let outcome = run(&rig, "push", 2.0, 0);
+        let streams = outcome.recording.streams.iter();
+        let commands: Vec<f64> = streams
+            .filter(|s| s.name == "commands")
+            .flat_map(|s| s.values.iter().copied())
+            .collect();
+        bare = bare.min(rig.replay(&commands).expect("a replay").as_secs_f64());
+        with = with.min((outcome.cost.simulation + outcome.cost.recording).as_secs_f64());
+    }
+    assert!(with < 1.2 * bare, "recorded {with} s, bare {bare} s");
+    // shown when the test is run with --nocapture
+    eprintln!("recorded / bare simulation: {:.3}", with / bare);
 }

@@ -6,9 +6,9 @@
 //! ```
 //!
 //! The truth differs from the model in the integration step, in parameters drawn by the seed, in hidden [`effects`], and
-//! is seen through [`sensing`]. It leaves this module in [`Truth`] alone: a recording says nothing of it.
+//! is seen through `sensing`. It leaves this module in [`Truth`] alone: a recording says nothing of it.
 //!
-//! One control step: read the encoders, command, [`plant`] through the inner steps, record. The samples of a control
+//! One control step: read the encoders, command, `plant` through the inner steps, record. The samples of a control
 //! step are those of its beginning.
 
 mod axes;

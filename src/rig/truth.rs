@@ -23,6 +23,9 @@ pub struct TrueEffect {
     pub name: String,
     /// `kind/name`
     pub element: String,
+    /// the other joint of a coupling
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub with: Option<String>,
 }
 
 /// One number.
@@ -127,10 +130,12 @@ pub(super) fn effects(model: &Model, bound: &[Bound]) -> (Vec<TrueEffect>, Vec<T
                 .map(|&id| element(model, kind(model, place), id))
                 .collect(),
         };
+        let partner = |joint| self::element(model, ObjectKind::Joint, joint);
         for element in elements {
             effects.push(TrueEffect {
                 name: entry.name.to_owned(),
                 element: element.clone(),
+                with: bound.partner.map(partner),
             });
             for (parameter, &value) in entry.parameters.iter().zip(&bound.values) {
                 rows.push(TrueParameter {

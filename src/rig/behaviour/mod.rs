@@ -1,7 +1,7 @@
 //! What a machine is made to do while it is recorded.
 //!
 //! Behaviours see sensed state only ([`Estimate`]), through the nominal model, as on a real machine. Joint excitations
-//! fit any model with motors; those with the object need fingertips and a free body, see [`tips`].
+//! fit any model with motors; those with the object need fingertips and a free body, see `tips`.
 
 mod contact;
 mod joint;

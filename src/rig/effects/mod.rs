@@ -5,9 +5,9 @@
 //!
 //! | way | module | when |
 //! | --- | --- | --- |
-//! | the numbers of the true model | [`model`] | once |
-//! | torques and altered controls | [`joint`], [`drive`], [`transmission`], [`contact`] | every inner step |
-//! | the samples | [`super::sensing`] | every sample |
+//! | the numbers of the true model | `model` | once |
+//! | torques and altered controls | `joint`, `drive`, `transmission`, `contact` | every inner step |
+//! | the samples | `sensing` | every sample |
 //!
 //! Friction, springs, stops, lag and play are written here from their own equations, not with the engine's elements of
 //! the same purpose: what looks for an effect must not meet its own code.
