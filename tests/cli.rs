@@ -470,6 +470,19 @@ fn a_run_that_only_diverges_leaves_its_breakdowns() {
 }
 
 #[test]
+fn a_reader_that_leaves_is_no_panic() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_phantom"))
+        .args(["record", "--list"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("ends");
+    assert_eq!(text(&output.stderr), "");
+}
+
+#[test]
 fn every_help_has_examples() {
     for command in ["train", "eval", "bench", "replay"] {
         let output = phantom(Path::new("."), &[command, "--help"]);
