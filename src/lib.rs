@@ -29,6 +29,7 @@ pub mod npg;
 pub mod policy;
 pub mod randomise;
 pub mod recording;
+pub mod report;
 pub mod rng;
 pub mod rollout;
 pub mod run_dir;
