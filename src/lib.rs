@@ -21,6 +21,7 @@
 
 pub mod bench;
 pub mod cli;
+pub mod compare;
 pub mod crosscheck;
 pub mod evaluate;
 pub mod exploration;

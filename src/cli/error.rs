@@ -5,10 +5,12 @@ use std::process::ExitCode;
 
 use thiserror::Error;
 
+use crate::compare::CompareError;
 use crate::mujoco::MujocoError;
 use crate::policy::PolicyError;
 use crate::randomise::RandomiseError;
 use crate::recording::RecordingError;
+use crate::report::ReportError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
 use crate::task::TaskError;
@@ -74,6 +76,20 @@ pub enum CliError {
     /// Training failed.
     #[error(transparent)]
     Train(#[from] TrainError),
+    /// Model and recordings cannot be compared.
+    #[error(transparent)]
+    Compare(#[from] CompareError),
+    /// A report cannot be made.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// A change of the model is impossible.
+    #[error("cannot set `{change}`: {reason}")]
+    Change {
+        /// array, with index
+        change: String,
+        /// what is wrong
+        reason: String,
+    },
 }
 
 impl CliError {
@@ -90,7 +106,9 @@ impl CliError {
     /// The engine's error at the bottom, if that is what it is.
     fn engine(&self) -> Option<&MujocoError> {
         match self {
-            Self::Mujoco(engine) | Self::Train(TrainError::Mujoco(engine)) => Some(engine),
+            Self::Mujoco(engine)
+            | Self::Train(TrainError::Mujoco(engine))
+            | Self::Compare(CompareError::Mujoco(engine)) => Some(engine),
             Self::Task(error) | Self::Train(TrainError::Task(error)) => of_task(error),
             Self::Randomise(error) | Self::Train(TrainError::Randomise(error)) => {
                 of_randomise(error)

@@ -4,6 +4,7 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)] // what this module is for
 
 mod bench;
+mod compare;
 mod error;
 mod eval;
 mod recording;
@@ -42,6 +43,8 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Measure speed and memory
     Bench(bench::BenchArgs),
+    /// Compare a model with recordings of the machine
+    Compare(compare::CompareArgs),
     /// Run a trajectory again that broke down in training
     Replay(replay::ReplayArgs),
     Recording(recording::RecordingArgs),
@@ -57,6 +60,7 @@ impl Cli {
             Command::Train(args) => args.run(),
             Command::Eval(args) => args.run(),
             Command::Bench(args) => args.run(),
+            Command::Compare(args) => args.run(),
             Command::Replay(args) => args.run(),
             Command::Recording(args) => args.run(),
         }
