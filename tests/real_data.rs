@@ -3,6 +3,7 @@
 //! The recordings are not part of the repository. They are looked for in the folder `PHANTOM_DATA`, else in
 //! `../shared/data`; where they are absent, the tests say so and pass.
 
+#![allow(clippy::print_stdout)] // what was skipped
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -1,4 +1,5 @@
 //! Pages and figures, opened as their readers would.
+#![allow(clippy::print_stdout)] // what was skipped
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

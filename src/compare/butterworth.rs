@@ -28,7 +28,9 @@ pub(super) fn low_pass(values: &mut [f64], width: usize, cutoff: f64) {
         let after = (1..=padding).map(|i| 2.0 * last - signal[n - 1 - i]);
         let mut padded: Vec<f64> = before.chain(signal.iter().copied()).chain(after).collect();
         for _ in 0..2 {
-            QUALITY.iter().for_each(|q| biquad(&mut padded, cutoff, *q));
+            for quality in QUALITY {
+                biquad(&mut padded, cutoff, quality);
+            }
             padded.reverse();
         }
         for (i, value) in padded[padding..padding + n].iter().enumerate() {

@@ -1,5 +1,7 @@
 //! A comparison as a report.
 
+use std::fmt::Write as _;
+
 use super::forces::{Forces, Signal};
 use super::policy::Tracking;
 use super::rollouts::{Growth, Rollouts};
@@ -120,7 +122,7 @@ fn rollouts(rollouts: &Rollouts, settings: &Settings) -> Section {
         rollouts.n, rollouts.diverged
     );
     if rollouts.skipped > 0 {
-        text.push_str(&format!(" {} recordings have no start.", rollouts.skipped));
+        let _ = write!(text, " {} recordings have no start.", rollouts.skipped);
     }
     let mut section = Section::new("Short rollouts").text(&text).table(table);
     for unit in ["m", "rad", "m/s", "rad/s"] {

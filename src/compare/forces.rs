@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Euler integration treats joint damping D implicitly: a step of h with the forces of time t makes the velocity
-//! difference a_h = (M + h D)⁻¹ M a. Recordings at the engine's own steps are therefore taken back to
-//! a = M⁻¹ (M + h D) a_h first.
+//! difference `a_h` = (M + h D)⁻¹ M a. Recordings at the engine's own steps are therefore taken back to
+//! a = M⁻¹ (M + h D) `a_h` first.
 //!
 //! Force and torque sensors are computed by forward dynamics at the recorded state and controls. In contact they are
 //! turned into the frame of the contact, normal first; without contact they stay in the frame of their site. Contact
@@ -39,7 +39,7 @@ pub struct Signal {
     pub rms: f64,
     /// root mean square of measured
     pub measured_rms: f64,
-    /// rms / measured_rms in percent
+    /// `rms / measured_rms` in percent
     pub relative_percent: f64,
     /// (n) s
     #[serde(skip)]
@@ -159,7 +159,7 @@ fn row(
     })
 }
 
-/// a = M⁻¹ (M + h D) a_h, for Euler's method.
+/// a = M⁻¹ (M + h D) `a_h`, for Euler's method.
 fn undo_implicit_damping(data: &mut Data, qacc: &mut [f64]) -> Result<(), MujocoError> {
     let model = Arc::clone(data.model_arc());
     let (nv, h) = (model.nv(), model.timestep());

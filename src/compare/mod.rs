@@ -77,7 +77,7 @@ pub fn compare(
     }
     Ok(Comparison {
         forces,
-        rollouts: rollouts::summarise(rolled, skipped, settings),
+        rollouts: rollouts::summarise(&rolled, skipped, settings),
         tracking,
     })
 }

@@ -243,10 +243,10 @@ fn deviation(part: &Part, simulated: (&[f64], &[f64]), real: (&[f64], &[f64])) -
 }
 
 /// Figures over all rollouts, in the order of the first one's channels.
-pub(super) fn summarise(rolled: Vec<Rolled>, skipped: usize, settings: &Settings) -> Rollouts {
+pub(super) fn summarise(rolled: &[Rolled], skipped: usize, settings: &Settings) -> Rollouts {
     let sound: Vec<&Rolled> = rolled.iter().filter(|r| !r.diverged).collect();
     let mut names: Vec<Channel> = Vec::new();
-    for rollout in &rolled {
+    for rollout in rolled {
         for channel in rollout.channels.iter() {
             if !names.contains(channel) {
                 names.push(channel.clone());

@@ -413,7 +413,9 @@ fn normalise(qpos: &mut [f64], nq: usize, quaternions: &[usize]) {
             let quat = &mut row[*address..address + 4];
             let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
             if length > 0.0 {
-                quat.iter_mut().for_each(|q| *q /= length);
+                for q in quat.iter_mut() {
+                    *q /= length;
+                }
             }
         }
     }
