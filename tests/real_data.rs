@@ -1,9 +1,9 @@
-//! Recordings of real machines against the figures published for them; see docs/real_data.md.
+//! Recordings of real machines against the figures published for them; see `docs/real_data.md`.
 //!
 //! The recordings are not part of the repository. They are looked for in the folder `PHANTOM_DATA`, else in
 //! `../shared/data`; where they are absent, the tests say so and pass.
-
 #![allow(clippy::print_stdout)] // what was skipped
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -125,7 +125,7 @@ fn double_pendulum_needs_its_friction() {
     assert!(both(model("double_pendulum"), &held_out) < 0.0876);
 }
 
-/// Published for MuJoCo: 25.1 ± 10.8 % of the width. With the measured friction 29.9 % by the pyramidal cone and 14.5 %
+/// Published for `MuJoCo`: 25.1 ± 10.8 % of the width. With the measured friction 29.9 % by the pyramidal cone and 14.5 %
 /// by the elliptic one, on 440 tosses of which 240 are looked at here.
 #[test]
 fn cube_tosses_ask_for_the_elliptic_cone() {

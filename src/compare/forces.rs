@@ -1,6 +1,6 @@
 //! Instantaneous forces: what the model says at each recorded state, against what was measured.
 //!
-//! Motor torques by inverse dynamics, in the independent directions N of motion ([`super::closure`]):
+//! Motor torques by inverse dynamics, in the independent directions N of motion (those that loops leave):
 //!
 //! ```text
 //! computed  Nᵀ qfrc_inverse(q, v, a)          measured  Nᵀ qfrc_actuator(q, v, ctrl)
