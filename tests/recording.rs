@@ -230,6 +230,42 @@ fn mistakes_in_tables_are_named() {
 }
 
 #[test]
+fn what_a_format_cannot_hold_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let refused = |name: &str, change: fn(&mut Recording), expected: &str| {
+        let mut recording = sample();
+        change(&mut recording);
+        let path = folder.path().join(name);
+        let message = recording::write(&path, &recording)
+            .expect_err(expected)
+            .to_string();
+        assert!(message.contains(expected), "{message}");
+        assert!(!path.exists());
+    };
+    refused(
+        "a.mcap",
+        |r| r.streams[0].values[6] = f64::INFINITY,
+        "`j1_pos` is infinite at 0.0005 s",
+    );
+    refused(
+        "a.mcap",
+        |r| r.streams[1].name = "joints".into(),
+        "two streams are called `joints`",
+    );
+    refused(
+        "a.csv",
+        |r| r.streams[1].channels[0].name = "m1".into(),
+        "two columns would be called `m1`",
+    );
+    refused(
+        "a.csv",
+        |r| r.streams[1].channels[0].name = " x".into(),
+        "cannot hold",
+    );
+    refused("a.csv", |r| r.streams[2].channels.clear(), "no channels");
+}
+
+#[test]
 fn another_programs_file_is_not_overwritten() {
     let folder = tempfile::tempdir().expect("a folder");
     let side = folder.path().join("log.json");
