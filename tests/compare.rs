@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use phantom::compare::rollouts::Growth;
 use phantom::compare::settings::{Derivative, Drop};
-use phantom::compare::{CompareError, Comparison, Settings, States, compare, policy};
+use phantom::compare::{CompareError, Comparison, Settings, States, compare};
 use phantom::mujoco::{Data, Model};
 use phantom::policy::AffineGaussian;
 use phantom::recording::{Channel, Kind, Meta, Recording, Stream};
@@ -130,11 +130,11 @@ fn without(mut recording: Recording, name: &str) -> Recording {
 }
 
 fn run(model: &Arc<Model>, recording: Recording, settings: &Settings) -> Comparison {
-    compare(model, &[recording], settings, &|| ()).expect("comparable")
+    compare(model, &[recording], settings, None, &|| ()).expect("comparable")
 }
 
 fn refuse(model: &Arc<Model>, recording: Recording, settings: &Settings) -> CompareError {
-    compare(model, &[recording], settings, &|| ()).expect_err("not comparable")
+    compare(model, &[recording], settings, None, &|| ()).expect_err("not comparable")
 }
 
 fn growth<'a>(comparison: &'a Comparison, channel: &str) -> Vec<&'a Growth> {
@@ -311,7 +311,7 @@ fn forces_are_compared_in_the_frame_of_the_contact() {
 }
 
 /// The shipped model, its motors' joints and the object recorded; the rods are not.
-fn phantom_log() -> (Arc<Model>, Recording, Vec<f64>) {
+fn phantom_log() -> (Arc<Model>, Recording) {
     let phantom = Arc::new(common::phantom_model());
     let mut data = Data::new(Arc::clone(&phantom)).expect("data");
     let names: Vec<(String, usize)> = (0..3)
@@ -347,13 +347,12 @@ fn phantom_log() -> (Arc<Model>, Recording, Vec<f64>) {
             .collect()
     };
     let recording = record(&mut data, 400, torque, &probes);
-    let qpos = data.qpos().to_vec();
-    (phantom, recording, qpos)
+    (phantom, recording)
 }
 
 #[test]
 fn loops_are_closed_where_only_motors_are_measured() {
-    let (phantom, recording, _) = phantom_log();
+    let (phantom, recording) = phantom_log();
     let states = States::new(&recording, &phantom, &Settings::default()).expect("states");
     for row in states.qpos.chunks_exact(phantom.nq()) {
         for finger in row[..15].chunks_exact(5) {
@@ -388,23 +387,45 @@ fn loops_are_closed_where_only_motors_are_measured() {
 
 #[test]
 fn a_policy_is_simulated_towards_the_recorded_target() {
-    let (phantom, recording, _) = phantom_log();
-    let states = States::new(&recording, &phantom, &Settings::default()).expect("states");
-    // no torque at all: the object stays where it is, 5 cm from the target
+    let (phantom, recording) = phantom_log();
+    let with = |recording: &Recording, policy: &AffineGaussian| {
+        let recordings = std::slice::from_ref(recording);
+        let settings = Settings::default();
+        compare(&phantom, recordings, &settings, Some(policy), &|| ())
+    };
+    // no torque at all: the object stays where it is, 5 cm from the target, and the fingers sink
     let idle = AffineGaussian::zeros(36, 9, -1.0);
-    let tracking = policy::simulated_tracking(&phantom, &states, &idle).expect("simulated");
-    assert_eq!(tracking.distance_m.len(), states.len());
+    let comparison = with(&recording, &idle).expect("comparable");
+    let [real, simulated] = &comparison.tracking[..] else {
+        panic!("{} entries", comparison.tracking.len());
+    };
+    assert_eq!((real.origin, simulated.origin), ("recorded", "simulated"));
+    assert_eq!(simulated.distance_m.len(), real.distance_m.len());
     assert!(
-        (tracking.distance_m[0] - 0.05).abs() < 1e-4,
+        (simulated.distance_m[0] - 0.05).abs() < 1e-4,
         "{}",
-        tracking.distance_m[0]
+        simulated.distance_m[0]
     );
-    let small = AffineGaussian::zeros(4, 9, -1.0);
-    let error = policy::simulated_tracking(&phantom, &states, &small).expect_err("another size");
+    let fell = |rollouts: &phantom::compare::rollouts::Rollouts| {
+        let mut all = rollouts.growth.iter();
+        all.find(|g| g.channel == "p0_upper" && g.horizon_s == Some(0.1))
+            .expect("the channel")
+            .end_rms
+    };
+    let under_policy = fell(
+        &comparison
+            .policy_rollouts
+            .expect("rollouts under the policy"),
+    );
+    assert!(
+        under_policy > 0.05 && fell(&comparison.rollouts) < 1e-3,
+        "{under_policy}"
+    );
+
+    let error = with(&recording, &AffineGaussian::zeros(4, 9, -1.0)).expect_err("another size");
     assert!(matches!(error, CompareError::Policy(_)));
-    let aimless = without(without(recording, "goal[0]"), "goal[1]");
-    let states = States::new(&aimless, &phantom, &Settings::default()).expect("states");
-    let error = policy::simulated_tracking(&phantom, &states, &idle).expect_err("no target");
+    let aimless = without(without(recording.clone(), "goal[0]"), "goal[1]");
+    let error = with(&aimless, &idle).expect_err("no target");
     assert!(matches!(error, CompareError::NoGoal { .. }), "{error}");
 }
 

@@ -39,7 +39,7 @@ fn model(name: &str) -> Model {
 }
 
 fn run(model: Model, recordings: &[Recording], settings: &Settings) -> Comparison {
-    compare(&Arc::new(model), recordings, settings, &|| ()).expect("comparable")
+    compare(&Arc::new(model), recordings, settings, None, &|| ()).expect("comparable")
 }
 
 fn growth<'a>(comparison: &'a Comparison, channel: &str, horizon: Option<f64>) -> &'a Growth {

@@ -67,7 +67,7 @@ pub(super) struct CompareArgs {
     /// Friction cone [default: the model's]
     #[arg(long, value_enum)]
     cone: Option<ConeName>,
-    /// Simulate this policy as well, towards the recorded target
+    /// Policy that moved the machine: simulate it towards the recorded target, and from recorded states
     #[arg(long, value_name = "FILE.json")]
     policy: Option<PathBuf>,
     /// Recordings of the same policy in another simulation
@@ -137,6 +137,8 @@ impl CompareArgs {
                 reason: "no trial is left to compare".to_owned(),
             });
         }
+        let policy: Option<AffineGaussian> =
+            self.policy.as_deref().map(run_dir::read_json).transpose()?;
         let threads = thread_count(self.threads);
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -146,11 +148,12 @@ impl CompareArgs {
                 reason: error.to_string(),
             })?;
         let bar = ProgressBar::new(recordings.len() as u64);
-        let result =
-            pool.install(|| compare::compare(&model, &recordings, &settings, &|| bar.inc(1)));
+        let done = || bar.inc(1);
+        let result = pool
+            .install(|| compare::compare(&model, &recordings, &settings, policy.as_ref(), &done));
         bar.finish_and_clear();
         let mut comparison = result?;
-        self.policies(&model, &recordings, &settings, &mut comparison)?;
+        self.other_simulation(&model, &settings, &mut comparison)?;
         self.write(&path, &comparison, &settings)?;
         Ok(ExitCode::SUCCESS)
     }
@@ -193,23 +196,13 @@ impl CompareArgs {
         Ok(all)
     }
 
-    /// Add what the policy does in simulation.
-    fn policies(
+    /// Add the tracking errors of recordings of another simulation.
+    fn other_simulation(
         &self,
         model: &Arc<Model>,
-        recordings: &[Recording],
         settings: &Settings,
         comparison: &mut Comparison,
     ) -> Result<(), CliError> {
-        if let Some(file) = &self.policy {
-            let policy: AffineGaussian = run_dir::read_json(file)?;
-            for recording in recordings {
-                let states = States::new(recording, model, settings)?;
-                comparison
-                    .tracking
-                    .push(policy::simulated_tracking(model, &states, &policy)?);
-            }
-        }
         for recording in self.recordings(&self.simulated, settings)? {
             let states = States::new(&recording, model, settings)?;
             let Some(mut tracking) = policy::recorded_tracking(&states) else {

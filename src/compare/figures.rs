@@ -17,9 +17,15 @@ pub fn report(title: &str, comparison: &Comparison, settings: &Settings) -> Repo
     if !comparison.forces.is_empty() {
         report.sections.push(forces(&comparison.forces));
     }
+    let recorded = "Rollouts under the recorded controls";
     report
         .sections
-        .push(rollouts(&comparison.rollouts, settings));
+        .push(rollouts(recorded, &comparison.rollouts, settings));
+    if let Some(policy) = &comparison.policy_rollouts {
+        report
+            .sections
+            .push(rollouts("Rollouts under the policy", policy, settings));
+    }
     if !comparison.tracking.is_empty() {
         report.sections.push(tracking(&comparison.tracking));
     }
@@ -90,7 +96,7 @@ fn force_chart(forces: &Forces, signal: &Signal) -> Chart {
         .series("model", Line::Solid, broken(&signal.computed))
 }
 
-fn rollouts(rollouts: &Rollouts, settings: &Settings) -> Section {
+fn rollouts(heading: &str, rollouts: &Rollouts, settings: &Settings) -> Section {
     let mut columns = vec![
         "channel",
         "horizon",
@@ -104,7 +110,10 @@ fn rollouts(rollouts: &Rollouts, settings: &Settings) -> Section {
     if settings.length_m.is_some() {
         columns.push("mean of length");
     }
-    let mut table = Table::new("Deviation of simulation from recording", &columns);
+    let mut table = Table::new(
+        &format!("{heading}: deviation from the recording"),
+        &columns,
+    );
     for g in &rollouts.growth {
         let horizon = g
             .horizon_s
@@ -118,13 +127,13 @@ fn rollouts(rollouts: &Rollouts, settings: &Settings) -> Section {
         table.push(row);
     }
     let mut text = format!(
-        "{} rollouts from recorded states under the recorded controls; {} broke down and are left out.",
+        "{} rollouts from recorded states; {} broke down and are left out.",
         rollouts.n, rollouts.diverged
     );
     if rollouts.skipped > 0 {
         let _ = write!(text, " {} recordings have no start.", rollouts.skipped);
     }
-    let mut section = Section::new("Short rollouts").text(&text).table(table);
+    let mut section = Section::new(heading).text(&text).table(table);
     for unit in ["m", "rad", "m/s", "rad/s"] {
         if let Some(chart) = growth_chart(&rollouts.growth, unit) {
             section = section.chart(chart);

@@ -35,6 +35,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use crate::mujoco::Model;
+use crate::policy::AffineGaussian;
 use crate::recording::Recording;
 
 /// The result for one or several recordings.
@@ -44,11 +45,13 @@ pub struct Comparison {
     pub forces: Vec<forces::Forces>,
     /// error growth over all recordings
     pub rollouts: rollouts::Rollouts,
+    /// the same under the policy, if there is one
+    pub policy_rollouts: Option<rollouts::Rollouts>,
     /// tracking errors; empty where no recording has a target
     pub tracking: Vec<policy::Tracking>,
 }
 
-/// Compare `model` with recordings; `done` is told after each of them.
+/// Compare `model` with recordings, and `policy` on both; `done` is told after each recording.
 ///
 /// # Errors
 /// A recording does not fit the model, or the engine fails.
@@ -56,11 +59,12 @@ pub fn compare(
     model: &Arc<Model>,
     recordings: &[Recording],
     settings: &Settings,
+    policy: Option<&AffineGaussian>,
     done: &(dyn Fn() + Sync),
 ) -> Result<Comparison, CompareError> {
     settings.check()?;
     let mut forces = Vec::new();
-    let mut rolled = Vec::new();
+    let (mut rolled, mut followed) = (Vec::new(), Vec::new());
     let mut tracking = Vec::new();
     let mut skipped = 0;
     for recording in recordings {
@@ -69,15 +73,31 @@ pub fn compare(
             forces.push(forces::instantaneous(model, &states, settings)?);
         }
         match start::starts(model, &states, settings)? {
-            Some(starts) => rolled.extend(rollouts::roll_out(model, &states, &starts, settings)?),
+            Some(starts) => {
+                let roll_out = |drive: rollouts::Drive<'_>| {
+                    rollouts::roll_out(model, &states, &starts, settings, drive)
+                };
+                rolled.extend(roll_out(&|data, time| {
+                    states.controls_at(time, data.ctrl_mut());
+                })?);
+                if let Some(policy) = policy {
+                    let follower = policy::Follower::new(model, &states, policy)?;
+                    followed.extend(roll_out(&|data, time| follower.act(data, time))?);
+                }
+            }
             None => skipped += 1,
         }
         tracking.extend(policy::recorded_tracking(&states));
+        if let Some(policy) = policy {
+            let follower = policy::Follower::new(model, &states, policy)?;
+            tracking.push(policy::simulated_tracking(model, &states, &follower)?);
+        }
         done();
     }
     Ok(Comparison {
         forces,
         rollouts: rollouts::summarise(&rolled, skipped, settings),
+        policy_rollouts: policy.map(|_| rollouts::summarise(&followed, skipped, settings)),
         tracking,
     })
 }

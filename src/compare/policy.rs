@@ -7,7 +7,6 @@ use serde::Serialize;
 use super::{CompareError, States};
 use crate::mujoco::{Data, Model};
 use crate::policy::AffineGaussian;
-use crate::rollout::hold;
 use crate::task::Task;
 use crate::task::push::{PushConfig, PushTask};
 
@@ -46,49 +45,76 @@ pub fn recorded_tracking(states: &States) -> Option<Tracking> {
     ))
 }
 
-/// The distance when `policy` moves the model from the first recorded state towards the recorded target.
-///
-/// # Errors
-/// There is no target, or policy or model do not fit the task.
-pub fn simulated_tracking(
+/// A policy bound to the model, and the target of a recording.
+pub(super) struct Follower<'a> {
+    task: PushTask,
+    policy: &'a AffineGaussian,
+    time_s: &'a [f64],
+    goal: &'a [f64], // (n × 2)
+}
+
+impl<'a> Follower<'a> {
+    /// Bind; there must be a target, and policy and model must fit the task.
+    pub(super) fn new(
+        model: &Model,
+        states: &'a States,
+        policy: &'a AffineGaussian,
+    ) -> Result<Self, CompareError> {
+        let task = PushTask::new(model, PushConfig::default())?;
+        policy.check(task.n_observation(), task.n_action())?;
+        let Some(goal) = &states.goal else {
+            return Err(CompareError::NoGoal {
+                recording: states.name.clone(),
+            });
+        };
+        Ok(Self {
+            task,
+            policy,
+            time_s: &states.time_s,
+            goal,
+        })
+    }
+
+    /// Put the target where it was at a time, and the policy's mean action into `ctrl`.
+    pub(super) fn act(&self, data: &mut Data, time: f64) {
+        let last = self.time_s.partition_point(|t| *t <= time + 0.5e-9);
+        let k = last.saturating_sub(1);
+        let (x, y) = (self.goal[2 * k], self.goal[2 * k + 1]);
+        // before its first sample the target is where the model has it
+        if x.is_finite() && y.is_finite() {
+            self.task.set_goal(data, x, y);
+        }
+        let mut observation = vec![0.0; self.task.n_observation()];
+        let mut action = vec![0.0; self.task.n_action()];
+        self.task.observe(data, &mut observation);
+        self.policy.mean(&observation, &mut action);
+        data.ctrl_mut().copy_from_slice(&action);
+    }
+}
+
+/// The distance when `follower` moves the model from the first recorded state towards the recorded target.
+pub(super) fn simulated_tracking(
     model: &Arc<Model>,
     states: &States,
-    policy: &AffineGaussian,
+    follower: &Follower<'_>,
 ) -> Result<Tracking, CompareError> {
-    let task = PushTask::new(model, PushConfig::default())?;
-    policy.check(task.n_observation(), task.n_action())?;
-    let Some(goal) = &states.goal else {
-        return Err(CompareError::NoGoal {
-            recording: states.name.clone(),
-        });
-    };
     let mut data = Data::new(Arc::clone(model))?;
     data.set_time(states.time_s[0]);
     data.qpos_mut().copy_from_slice(&states.qpos[..model.nq()]);
     data.qvel_mut().copy_from_slice(&states.qvel[..model.nv()]);
-    let (mut observation, mut action) =
-        (vec![0.0; task.n_observation()], vec![0.0; task.n_action()]);
     let mut path = Vec::with_capacity(states.len());
-    let aim = |data: &mut Data, k: usize| {
-        let (x, y) = (goal[2 * k], goal[2 * k + 1]);
-        // before its first sample the target is where the model has it
-        if x.is_finite() && y.is_finite() {
-            task.set_goal(data, x, y);
-        }
-    };
-    aim(&mut data, 0);
-    data.step1()?;
-    for k in 0..states.len() {
-        while data.time() + 0.5 * model.timestep() <= states.time_s[k] {
-            task.observe(&data, &mut observation);
-            policy.mean(&observation, &mut action);
-            hold(&mut data, &action, 1)?;
+    for time in &states.time_s {
+        while data.time() + 0.5 * model.timestep() <= *time {
+            let now = data.time();
+            follower.act(&mut data, now);
+            data.step()?;
         }
         if data.warnings().diverged() {
             break;
         }
-        aim(&mut data, k);
-        path.push((states.time_s[k], task.distance_m(&data)));
+        // the target of this sample, for its distance
+        follower.act(&mut data, *time);
+        path.push((*time, follower.task.distance_m(&data)));
     }
     Ok(tracking(states, "simulated", path.into_iter()))
 }

@@ -1,4 +1,5 @@
-//! Short rollouts: from recorded states, under the recorded controls; how far simulation and machine come apart.
+//! Short rollouts: from recorded states, under the recorded controls or a policy; how far simulation and machine come
+//! apart.
 
 use std::sync::Arc;
 
@@ -129,12 +130,16 @@ fn horizons(settings: &Settings) -> Vec<f64> {
     settings.horizons_s.iter().copied().chain(end).collect()
 }
 
-/// Simulate from every start.
+/// Sets the controls of a step that begins at a time.
+pub(super) type Drive<'a> = &'a (dyn Fn(&mut Data, f64) + Sync);
+
+/// Simulate from every start, driven by `drive`.
 pub(super) fn roll_out(
     model: &Arc<Model>,
     states: &States,
     starts: &[Start],
     settings: &Settings,
+    drive: Drive<'_>,
 ) -> Result<Vec<Rolled>, CompareError> {
     let channels = Arc::new(channels(model, states));
     let horizons = horizons(settings);
@@ -143,7 +148,7 @@ pub(super) fn roll_out(
         .map_init(
             || Data::new(Arc::clone(model)),
             |data, start| match data {
-                Ok(data) => from(data, states, start, &channels, &horizons),
+                Ok(data) => from(data, states, start, &channels, &horizons, drive),
                 Err(error) => Err(error.clone()),
             },
         )
@@ -158,6 +163,7 @@ fn from(
     start: &Start,
     channels: &Arc<Vec<Channel>>,
     horizons: &[f64],
+    drive: Drive<'_>,
 ) -> Result<Rolled, MujocoError> {
     let model = Arc::clone(data.model_arc());
     let (nq, nv, h) = (model.nq(), model.nv(), model.timestep());
@@ -180,7 +186,7 @@ fn from(
             break;
         }
         while (steps as f64 + 0.5) * h <= elapsed {
-            states.controls_at(begin + steps as f64 * h, data.ctrl_mut());
+            drive(data, begin + steps as f64 * h);
             data.step()?;
             steps += 1;
         }
