@@ -21,6 +21,7 @@
 
 pub mod bench;
 pub mod cli;
+pub mod compare;
 pub mod crosscheck;
 pub mod evaluate;
 pub mod exploration;
@@ -29,6 +30,7 @@ pub mod npg;
 pub mod policy;
 pub mod randomise;
 pub mod recording;
+pub mod report;
 pub mod rig;
 pub mod rng;
 pub mod rollout;

@@ -4,6 +4,7 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)] // what this module is for
 
 mod bench;
+mod compare;
 mod error;
 mod eval;
 mod record;
@@ -45,6 +46,8 @@ enum Command {
     Bench(bench::BenchArgs),
     /// Record a virtual rig, a machine that is not quite like its model
     Record(record::RecordArgs),
+    /// Compare a model with recordings of the machine
+    Compare(compare::CompareArgs),
     /// Run a trajectory again that broke down in training
     Replay(replay::ReplayArgs),
     Recording(recording::RecordingArgs),
@@ -60,6 +63,7 @@ impl Cli {
             Command::Train(args) => args.run(),
             Command::Eval(args) => args.run(),
             Command::Bench(args) => args.run(),
+            Command::Compare(args) => args.run(),
             Command::Replay(args) => args.run(),
             Command::Record(args) => args.run(),
             Command::Recording(args) => args.run(),
