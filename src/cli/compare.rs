@@ -12,7 +12,7 @@ use super::{CliError, load_model, model_path, positive, thread_count};
 use crate::compare::{self, CompareError, Comparison, Settings, States, figures, policy};
 use crate::mujoco::{Cone, Model};
 use crate::policy::AffineGaussian;
-use crate::recording::{Binding, Recording, read_trials};
+use crate::recording::{Binding, Kind, Recording, read_trials};
 use crate::rollout::RolloutError;
 use crate::run_dir;
 
@@ -55,7 +55,7 @@ pub(super) struct CompareArgs {
     /// How to compare: filters, horizons, starts (TOML)
     #[arg(long, value_name = "FILE.toml")]
     protocol: Option<PathBuf>,
-    /// Zero-phase low-pass of the recorded state, 1/s
+    /// Zero-phase low-pass of the recorded state, 1/s [default: 30 where positions carry known noise, else none]
     #[arg(long, value_name = "HZ", value_parser = positive)]
     cutoff_hz: Option<f64>,
     /// Duration of rollouts, s; several: one after another
@@ -81,12 +81,24 @@ pub(super) struct CompareArgs {
     json: bool,
 }
 
+/// Low-pass of positions that carry noise and come without a protocol: above what arms do, below what encoders add.
+const NOISY_CUTOFF_HZ: f64 = 30.0;
+
 /// A change of the model.
 #[derive(Debug, Clone)]
 struct Change {
     array: String,
     index: Option<usize>,
     value: f64,
+}
+
+/// Whether positions are known to carry noise, which two differences in time would turn into most of the acceleration.
+fn noisy(recording: &Recording) -> bool {
+    recording.channels().any(|c| {
+        c.kind == Kind::Sensor
+            && matches!(c.unit.as_str(), "rad" | "m")
+            && c.noise_sigma.is_some_and(|sigma| sigma > 0.0)
+    })
 }
 
 /// clap parser of a [`Change`].
@@ -127,10 +139,16 @@ impl CompareArgs {
             };
             model.edit().set_option(&option)?;
         }
-        let settings = self.settings()?;
+        let mut settings = self.settings()?;
         settings.check()?;
         let model = Arc::new(model);
         let recordings = self.recordings(&self.files, &settings)?;
+        if self.protocol.is_none() && settings.cutoff_hz.is_none() && recordings.iter().any(noisy) {
+            settings.cutoff_hz = Some(NOISY_CUTOFF_HZ);
+            eprintln!(
+                "positions carry noise: low-pass of {NOISY_CUTOFF_HZ} Hz (--cutoff-hz changes it)"
+            );
+        }
         if recordings.is_empty() {
             return Err(CliError::File {
                 file: self.files[0].clone(),
