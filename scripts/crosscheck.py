@@ -290,7 +290,9 @@ class ValueFunction:
         self.mean, self.inverse_scale, self.weights = (np.asarray(x) for x in (mean, inverse_scale, weights))
 
     def features(self, observations, times):
-        return value_features(np.clip((observations - self.mean) * self.inverse_scale, -4, 4), times)
+        used = self.inverse_scale != 0
+        standard = (observations[:, used] - self.mean[used]) * self.inverse_scale[used]
+        return value_features(np.clip(standard, -4, 4), times)
 
     def __call__(self, observations, times):
         if not self.weights.size:
@@ -307,10 +309,20 @@ class ValueFunction:
         return cls(shape.mean, shape.inverse_scale, weights)
 
 
-def spread(observations):
-    """Mean and standard deviation; 0 marks an observation that is constant but for rounding."""
-    mean, variance = observations.mean(axis=0), observations.var(axis=0)
-    return mean, np.sqrt(np.where(variance > 1e-12 * (1 + mean ** 2), variance, 0.0))
+def spread(inputs):
+    """Mean and standard deviation; 0 marks an input that takes no part.
+
+    That is one which is constant but for rounding, or of which a regression on the inputs before it explains all but
+    a hundredth of the variance.
+    """
+    mean, deviation = inputs.mean(axis=0), np.zeros(inputs.shape[1])
+    for i in range(inputs.shape[1]):
+        variance, before = inputs[:, i].var(), (inputs - mean)[:, :i][:, deviation[:i] > 0]
+        if variance > 1e-12 * (1 + mean[i] ** 2):
+            left = inputs[:, i] - mean[i]
+            left = left - before @ np.linalg.lstsq(before, left, rcond=None)[0]
+            deviation[i] = math.sqrt(variance) if np.mean(left ** 2) >= 0.01 * variance else 0
+    return mean, deviation
 
 
 def robust_moments(values, clip):

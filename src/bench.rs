@@ -10,6 +10,8 @@
 //! The policy is one of a few iterations of training, so that the fingers are in contact. Passes alternate and medians
 //! are taken, since machines are noisy.
 
+mod recording;
+
 use std::time::Instant;
 
 use serde::Serialize;
@@ -18,6 +20,8 @@ use crate::mujoco::{Data, Model};
 use crate::rollout::{BatchRequest, Trajectory};
 use crate::train::config::TrainConfig;
 use crate::train::{TrainError, Trainer};
+
+pub use recording::{RecordingFigures, measure_recording};
 
 /// Alternating passes of which medians are taken.
 const PASSES: usize = 7;

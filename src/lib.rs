@@ -1,10 +1,11 @@
-//! phantom trains robot policies in `MuJoCo` 2.2.2, after Lowrey, Kolev, Dao, Rajeswaran, Todorov 2018,
+//! phantom trains robot policies in `MuJoCo` 2.2.2, and compares the simulation with recordings of machines, after Lowrey, Kolev, Dao, Rajeswaran, Todorov 2018,
 //! "Reinforcement learning for non-prehensile manipulation: Transfer from simulation to physical system".
 //!
 //! Data flows one way; a module imports only what stands further right or below:
 //!
 //! ```text
 //! main → cli → {train, bench} → {npg, rollout, evaluate, run_dir}
+//!        cli → {compare, rig} → {report, recording, rollout}
 //!                  rollout → {task, policy, exploration, randomise, rng} → mujoco → mujoco_sys
 //! ```
 //!
@@ -21,6 +22,7 @@
 
 pub mod bench;
 pub mod cli;
+pub mod compare;
 pub mod crosscheck;
 pub mod evaluate;
 pub mod exploration;
@@ -30,6 +32,8 @@ pub mod npg;
 pub mod policy;
 pub mod randomise;
 pub mod recording;
+pub mod report;
+pub mod rig;
 pub mod rng;
 pub mod rollout;
 pub mod run_dir;

@@ -6,6 +6,8 @@ use clap::Parser;
 use phantom::cli::Cli;
 
 fn main() -> ExitCode {
+    // `phantom record --list | head` ends quietly, like any filter
+    sigpipe::reset();
     // clap prints help and usage errors itself, with exit codes 0 and 2
     match Cli::parse().run() {
         Ok(code) => code,

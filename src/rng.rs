@@ -25,6 +25,12 @@ pub enum Purpose {
     Evaluation = 4,
     /// Initial policy weights.
     Policy = 5,
+    /// What a virtual rig hides: its parameters, effects and calibration errors.
+    Rig = 6,
+    /// Sensor noise of one trial of a rig.
+    SensorNoise = 7,
+    /// Phases of an excitation.
+    Excitation = 8,
 }
 
 /// The stream of (`seed`, `purpose`, `iteration`, `index`).

@@ -420,6 +420,66 @@ fn numbers_out_of_range_are_usage_errors() {
         let option = args[1].split('=').next().unwrap_or_default();
         assert!(text(&output.stderr).contains(option), "{args:?}");
     }
+    let output = phantom(folder.path(), &["train", "--mass", "-0.3"]);
+    let message = text(&output.stderr);
+    assert!(message.contains("expected a positive number"), "{message}");
+}
+
+#[test]
+fn a_run_that_only_diverges_leaves_its_breakdowns() {
+    let folder = folder();
+    let path = folder.path();
+    let unlimited = fs::read_to_string(model()).expect("readable");
+    let unlimited = unlimited.replace("ctrllimited=\"true\"", "ctrllimited=\"false\"");
+    write(path, "m.xml", &unlimited);
+    write(path, "small.toml", SMALL);
+    let args = [
+        "train",
+        "--model",
+        "m.xml",
+        "--config",
+        "small.toml",
+        "--out",
+        "run",
+    ];
+    assert!(phantom(path, &args).status.success());
+
+    // a motor that pushes beyond what the engine takes
+    let file = path.join("run/checkpoint.json");
+    let text = fs::read_to_string(&file).expect("readable");
+    let mut checkpoint: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    checkpoint["policy"]["weights"][36] = 1e200.into();
+    fs::write(&file, checkpoint.to_string()).expect("writable");
+    let more = ["train", "--resume", "run", "--iterations", "5"];
+    refuses(path, &more, &["all 16 trajectories diverged"]);
+    let dump = path.join("run/diverged-00003-000.json");
+    let output = phantom(path, &["replay", dump.to_str().expect("a plain path")]);
+    assert_eq!(output.status.code(), Some(0), "it breaks down again");
+
+    // a dump that cannot be written does not hide what happened
+    fs::remove_file(&dump).expect("there");
+    fs::create_dir(&dump).expect("free");
+    let output = phantom(path, &more);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(message.contains("diverged-00003-000.json"), "{message}");
+    assert!(
+        message.contains("all 16 trajectories diverged"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_reader_that_leaves_is_no_panic() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_phantom"))
+        .args(["record", "--list"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("ends");
+    assert_eq!(text(&output.stderr), "");
 }
 
 #[test]

@@ -83,6 +83,12 @@ fn through(folder: &Path, names: &[&str], recording: &Recording) -> Recording {
     })
 }
 
+/// Some file systems wait for the disk when a file is cut to nothing and written again, but not for a new file.
+fn replace(path: &Path, bytes: &[u8]) {
+    std::fs::remove_file(path).ok();
+    std::fs::write(path, bytes).expect("written");
+}
+
 #[test]
 fn mcap_and_tables_lose_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -146,7 +152,7 @@ fn a_cut_file_is_refused_and_can_be_salvaged() {
     let bytes = std::fs::read(&whole).expect("the file");
     let mut most = 0;
     for part in [0, 1, 5, 20, 50, 80, 95, 99] {
-        std::fs::write(&cut, &bytes[..bytes.len() * part / 100]).expect("written");
+        replace(&cut, &bytes[..bytes.len() * part / 100]);
         assert!(
             matches!(recording::read(&cut), Err(RecordingError::Damaged { .. })),
             "{part} %"
@@ -176,7 +182,7 @@ fn no_changed_byte_passes_for_data() {
     for at in (0..bytes.len()).step_by(3) {
         let mut changed = bytes.clone();
         changed[at] ^= 0x10;
-        std::fs::write(&path, changed).expect("written");
+        replace(&path, &changed);
         match recording::read(&path) {
             Ok(read) => assert_same(&recording, &read),
             Err(_) => refused += 1,
@@ -224,6 +230,42 @@ fn mistakes_in_tables_are_named() {
 }
 
 #[test]
+fn what_a_format_cannot_hold_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let refused = |name: &str, change: fn(&mut Recording), expected: &str| {
+        let mut recording = sample();
+        change(&mut recording);
+        let path = folder.path().join(name);
+        let message = recording::write(&path, &recording)
+            .expect_err(expected)
+            .to_string();
+        assert!(message.contains(expected), "{message}");
+        assert!(!path.exists());
+    };
+    refused(
+        "a.mcap",
+        |r| r.streams[0].values[6] = f64::INFINITY,
+        "`j1_pos` is infinite at 0.0005 s",
+    );
+    refused(
+        "a.mcap",
+        |r| r.streams[1].name = "joints".into(),
+        "two streams are called `joints`",
+    );
+    refused(
+        "a.csv",
+        |r| r.streams[1].channels[0].name = "m1".into(),
+        "two columns would be called `m1`",
+    );
+    refused(
+        "a.csv",
+        |r| r.streams[1].channels[0].name = " x".into(),
+        "cannot hold",
+    );
+    refused("a.csv", |r| r.streams[2].channels.clear(), "no channels");
+}
+
+#[test]
 fn another_programs_file_is_not_overwritten() {
     let folder = tempfile::tempdir().expect("a folder");
     let side = folder.path().join("log.json");
@@ -234,4 +276,101 @@ fn another_programs_file_is_not_overwritten() {
         std::fs::read_to_string(&side).expect("the file"),
         "{\"mine\": 1}"
     );
+}
+
+/// Thousands of changed files: no panic, no more memory than the bytes account for, and what is read at all is checked
+/// and written again without trouble. A quick substitute for the fuzzer in `fuzz/`.
+#[test]
+fn damaged_files_never_panic() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut random = phantom::rng::stream(1, phantom::rng::Purpose::Start, 0, 0);
+    let mut draw =
+        |n: usize| (phantom::rng::uniform(&mut random, 0.0, n as f64) as usize).min(n - 1);
+    let (mut readable, mut refused) = (0, 0);
+    for name in ["a.mcap", "plain.mcap", "a.csv", "a.csv.gz"] {
+        let path = folder.path().join(name);
+        let bytes = if name == "plain.mcap" {
+            without_checksums()
+        } else {
+            let mut recording = sample();
+            recording.streams[0].stamps_ns.truncate(30);
+            recording.streams[0].values.truncate(60);
+            recording::write(&path, &recording).expect("written");
+            std::fs::read(&path).expect("the file")
+        };
+        for _ in 0..1500 {
+            let mut changed = bytes.clone();
+            for _ in 0..=draw(3) {
+                let at = draw(changed.len());
+                match draw(5) {
+                    0 => changed.truncate(at + 1),
+                    1 => changed[at] = [0, 0xff, b',', b'\n', b'"', b'9'][draw(6)],
+                    2 => changed[at] ^= 1 << draw(8),
+                    3 => {
+                        let from = draw(changed.len());
+                        let piece = changed[from..(from + draw(40)).min(changed.len())].to_vec();
+                        changed.splice(at..at, piece);
+                    }
+                    _ => {
+                        let end = (at + 8).min(changed.len());
+                        changed[at..end].fill([0, 0xff][draw(2)]);
+                    }
+                }
+            }
+            replace(&path, &changed);
+            match recording::salvage(&path, &Binding::default()) {
+                Ok(loaded) => {
+                    readable += 1;
+                    for recording in &loaded.trials {
+                        recording::check(recording, None);
+                        let numbers: usize = recording.streams.iter().map(|s| s.values.len()).sum();
+                        assert!(
+                            numbers < 100_000,
+                            "{numbers} numbers from {} bytes",
+                            changed.len()
+                        );
+                    }
+                }
+                Err(_) => refused += 1,
+            }
+        }
+    }
+    // both ways are really taken
+    assert!(
+        readable > 500 && refused > 500,
+        "{readable} readable, {refused} refused"
+    );
+}
+
+/// A small MCAP as other programs may write it: neither packed nor with checksums, so that changes reach the parser.
+fn without_checksums() -> Vec<u8> {
+    let mut writer = mcap::WriteOptions::new()
+        .compression(None)
+        .calculate_chunk_crcs(false)
+        .calculate_data_section_crc(false)
+        .create(std::io::Cursor::new(Vec::new()))
+        .expect("a writer");
+    let topic = |name: &str| {
+        (
+            name.to_owned(),
+            r#"[{"name":"q","kind":"sensor"}]"#.to_owned(),
+        )
+    };
+    let channel = writer
+        .add_channel(0, "q", "json", &[topic("channels")].into())
+        .expect("a channel");
+    for k in 0..20 {
+        let header = mcap::records::MessageHeader {
+            channel_id: channel,
+            sequence: k,
+            log_time: u64::from(k),
+            publish_time: 0,
+        };
+        let text = format!("{{\"values\":[{k}]}}");
+        writer
+            .write_to_known_channel(&header, text.as_bytes())
+            .expect("a message");
+    }
+    writer.finish().expect("the end");
+    writer.into_inner().into_inner()
 }

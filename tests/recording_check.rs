@@ -203,35 +203,35 @@ fn each_fault_is_found() {
     type Fault = (&'static str, Severity, Option<f64>, fn(&mut Stream));
     let faults: [Fault; 11] = [
         ("time_backwards", Severity::Error, Some(0.4), |s| {
-            s.stamps_ns.swap(39, 40)
+            s.stamps_ns.swap(39, 40);
         }),
         ("stamp_twice", Severity::Error, Some(0.39), |s| {
-            s.stamps_ns[40] = s.stamps_ns[39]
+            s.stamps_ns[40] = s.stamps_ns[39];
         }),
         ("not_finite", Severity::Error, Some(0.5), |s| {
-            s.values[50 * 7] = f64::INFINITY
+            s.values[50 * 7] = f64::INFINITY;
         }),
         ("gap", Severity::Warning, Some(0.59), |s| {
-            s.stamps_ns[60..].iter_mut().for_each(|t| *t += 30_000_000)
+            s.stamps_ns[60..].iter_mut().for_each(|t| *t += 30_000_000);
         }),
         ("rate", Severity::Error, None, |s| s.rate_hz = Some(1000.0)),
         ("never_moves", Severity::Warning, Some(0.0), |s| {
-            s.values.iter_mut().step_by(7).for_each(|v| *v = 2.0)
+            s.values.iter_mut().step_by(7).for_each(|v| *v = 2.0);
         }),
         ("missing", Severity::Warning, Some(0.7), |s| {
-            s.values[70 * 7 + 1] = f64::NAN
+            s.values[70 * 7 + 1] = f64::NAN;
         }),
         ("unit", Severity::Error, None, |s| {
-            s.channels[0].unit = "deg".into()
+            s.channels[0].unit = "deg".into();
         }),
         ("no_samples", Severity::Warning, None, |s| {
-            s.values.iter_mut().step_by(7).for_each(|v| *v = f64::NAN)
+            s.values.iter_mut().step_by(7).for_each(|v| *v = f64::NAN);
         }),
         ("no_control", Severity::Error, None, |s| {
-            s.channels[5].kind = Kind::Other
+            s.channels[5].kind = Kind::Other;
         }),
         ("no_sensor", Severity::Warning, None, |s| {
-            s.channels[0].kind = Kind::Other
+            s.channels[0].kind = Kind::Other;
         }),
     ];
     for (rule, severity, time_s, break_it) in faults {

@@ -5,10 +5,13 @@ use std::process::ExitCode;
 
 use thiserror::Error;
 
+use crate::compare::CompareError;
 use crate::mujoco::MujocoError;
 use crate::policy::PolicyError;
 use crate::randomise::RandomiseError;
 use crate::recording::RecordingError;
+use crate::report::ReportError;
+use crate::rig::RigError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
 use crate::task::TaskError;
@@ -59,6 +62,14 @@ pub enum CliError {
     /// A recording or its binding table is not usable.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// A rig cannot be built or run.
+    #[error("{}: {source}", file.display())]
+    Rig {
+        /// the rig file
+        file: PathBuf,
+        /// what is wrong
+        source: RigError,
+    },
     /// The engine failed.
     #[error(transparent)]
     Mujoco(#[from] MujocoError),
@@ -74,6 +85,20 @@ pub enum CliError {
     /// Training failed.
     #[error(transparent)]
     Train(#[from] TrainError),
+    /// Model and recordings cannot be compared.
+    #[error(transparent)]
+    Compare(#[from] CompareError),
+    /// A report cannot be made.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// A change of the model is impossible.
+    #[error("cannot set `{change}`: {reason}")]
+    Change {
+        /// array, with index
+        change: String,
+        /// what is wrong
+        reason: String,
+    },
 }
 
 impl CliError {
@@ -90,7 +115,15 @@ impl CliError {
     /// The engine's error at the bottom, if that is what it is.
     fn engine(&self) -> Option<&MujocoError> {
         match self {
-            Self::Mujoco(engine) | Self::Train(TrainError::Mujoco(engine)) => Some(engine),
+            Self::Mujoco(engine)
+            | Self::Train(TrainError::Mujoco(engine))
+            | Self::Compare(CompareError::Mujoco(engine)) => Some(engine),
+            Self::Rig { source, .. } => match source {
+                RigError::Mujoco(engine) => Some(engine),
+                RigError::Task(error) => of_task(error),
+                RigError::Randomise(error) => of_randomise(error),
+                _ => None,
+            },
             Self::Task(error) | Self::Train(TrainError::Task(error)) => of_task(error),
             Self::Randomise(error) | Self::Train(TrainError::Randomise(error)) => {
                 of_randomise(error)

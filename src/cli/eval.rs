@@ -46,10 +46,10 @@ pub(super) struct EvalArgs {
     #[arg(long, value_name = "N", default_value = "10", value_parser = count)]
     rollouts: usize,
     /// Object mass, kg [default: the model's]
-    #[arg(long, value_name = "KG", value_parser = positive)]
+    #[arg(long, value_name = "KG", value_parser = positive, allow_negative_numbers = true)]
     mass: Option<f64>,
     /// Standard deviation of each base's position in x and y, m
-    #[arg(long, value_name = "M", default_value = "0.005", value_parser = not_negative)]
+    #[arg(long, value_name = "M", default_value = "0.005", value_parser = not_negative, allow_negative_numbers = true)]
     base_sigma: f64,
     /// Seed of starts and base positions
     #[arg(long, value_name = "S", default_value = "0")]

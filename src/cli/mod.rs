@@ -4,8 +4,10 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)] // what this module is for
 
 mod bench;
+mod compare;
 mod error;
 mod eval;
+mod record;
 mod recording;
 mod replay;
 mod train;
@@ -42,6 +44,10 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Measure speed and memory
     Bench(bench::BenchArgs),
+    /// Record a virtual rig, a machine that is not quite like its model
+    Record(record::RecordArgs),
+    /// Compare a model with recordings of the machine
+    Compare(compare::CompareArgs),
     /// Run a trajectory again that broke down in training
     Replay(replay::ReplayArgs),
     Recording(recording::RecordingArgs),
@@ -57,7 +63,9 @@ impl Cli {
             Command::Train(args) => args.run(),
             Command::Eval(args) => args.run(),
             Command::Bench(args) => args.run(),
+            Command::Compare(args) => args.run(),
             Command::Replay(args) => args.run(),
+            Command::Record(args) => args.run(),
             Command::Recording(args) => args.run(),
         }
     }
@@ -77,6 +85,27 @@ fn model_path(named: Option<&Path>) -> PathBuf {
 
 fn load_model(path: &Path) -> Result<Model, CliError> {
     Ok(Model::from_xml_path(path)?)
+}
+
+/// A configuration file; mistakes are named with their line.
+fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, CliError> {
+    let text = std::fs::read_to_string(path).map_err(|reason| CliError::File {
+        file: path.to_owned(),
+        reason: match reason.kind() {
+            std::io::ErrorKind::InvalidData => "not UTF-8 text".to_owned(),
+            _ => reason.to_string(),
+        },
+    })?;
+    toml::from_str(&text).map_err(|error| {
+        let line = error
+            .span()
+            .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+        CliError::Config {
+            file: path.to_owned(),
+            line,
+            reason: error.message().replace('\n', ", "),
+        }
+    })
 }
 
 /// Worker threads: as asked, else one a core.

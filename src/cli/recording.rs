@@ -108,13 +108,15 @@ fn binding(file: Option<&Path>) -> Result<Binding, CliError> {
     })
 }
 
-/// A progress bar over files.
+/// A progress bar over files, or a sign of life for one.
 fn bar(n: usize) -> ProgressBar {
-    if n > 1 {
+    let bar = if n > 1 {
         ProgressBar::new(n as u64)
     } else {
         ProgressBar::new_spinner()
-    }
+    };
+    bar.enable_steady_tick(std::time::Duration::from_millis(100));
+    bar
 }
 
 fn print_json(value: &impl Serialize) -> Result<(), CliError> {
@@ -224,6 +226,7 @@ impl InfoArgs {
 impl ConvertArgs {
     fn run(self) -> Result<ExitCode, CliError> {
         let binding = binding(self.binding.as_deref())?;
+        let bar = bar(1);
         let trials = if self.salvage {
             let loaded = salvage(&self.from, &binding)?;
             match &loaded.damage {
@@ -234,7 +237,6 @@ impl ConvertArgs {
         } else {
             read_trials(&self.from, &binding)?
         };
-        let bar = bar(trials.len());
         for (index, recording) in trials.iter().enumerate() {
             let path = if trials.len() > 1 {
                 numbered(&self.to, index + 1)
@@ -242,7 +244,6 @@ impl ConvertArgs {
                 self.to.clone()
             };
             write(&path, recording)?;
-            bar.inc(1);
         }
         bar.finish_and_clear();
         let samples: usize = trials

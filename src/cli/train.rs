@@ -49,7 +49,7 @@ pub(super) struct TrainArgs {
     #[arg(long, value_name = "S", conflicts_with = "resume")]
     seed: Option<u64>,
     /// Object mass in training, kg
-    #[arg(long, value_name = "KG", value_parser = positive, conflicts_with = "resume")]
+    #[arg(long, value_name = "KG", value_parser = positive, allow_negative_numbers = true, conflicts_with = "resume")]
     mass: Option<f64>,
     /// Worker threads; the result does not depend on it [default: one a core]
     #[arg(long, value_name = "T", value_parser = count)]
@@ -94,7 +94,10 @@ impl TrainArgs {
             let record = match run.trainer.advance() {
                 Ok(record) => record,
                 Err(error) => {
-                    run.dump_unreported()?;
+                    // what stopped the run comes first, whether or not it can be dumped
+                    if let Err(failure) = run.dump_unreported() {
+                        bar.suspend(|| eprintln!("phantom: {failure}"));
+                    }
                     return Err(error.into());
                 }
             };
@@ -258,11 +261,10 @@ impl Run {
 
     /// Write the breakdowns of an iteration that left nothing to learn from.
     fn dump_unreported(&self) -> Result<(), CliError> {
-        let breakdowns = self
-            .trainer
-            .unreported_breakdowns()
-            .take(DUMP_LIMIT as usize);
-        self.dump(self.trainer.checkpoint().iteration + 1, breakdowns)
+        let state = self.trainer.checkpoint();
+        let left = DUMP_LIMIT.saturating_sub(state.n_diverged) as usize;
+        let breakdowns = self.trainer.unreported_breakdowns().take(left);
+        self.dump(state.iteration + 1, breakdowns)
     }
 }
 
@@ -289,21 +291,7 @@ fn read(path: &Path) -> Result<Vec<u8>, CliError> {
 }
 
 fn read_config(path: &Path) -> Result<TrainConfig, CliError> {
-    let bytes = read(path)?;
-    let text = String::from_utf8(bytes).map_err(|_| CliError::File {
-        file: path.to_owned(),
-        reason: "not UTF-8 text".to_owned(),
-    })?;
-    let config: TrainConfig = toml::from_str(&text).map_err(|error| {
-        let line = error
-            .span()
-            .map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        CliError::Config {
-            file: path.to_owned(),
-            line,
-            reason: error.message().replace('\n', ", "),
-        }
-    })?;
+    let config: TrainConfig = super::read_toml(path)?;
     config.validate().map_err(|source| CliError::Setting {
         file: path.to_owned(),
         source,

@@ -2,9 +2,13 @@
 //!
 //! ```text
 //! x = clip((s - mean) / scale, ±CLIP)                      s: the task's value inputs; mean and scale of the batch it was fitted on
-//! ψ = (1, x_i, x_i x_j for i ≥ j, τ, τ², τ³, τ⁴),  τ = t / horizon     784 features for 38 inputs
+//! ψ = (1, x_i, x_i x_j for i ≥ j, τ, τ², τ³, τ⁴),  τ = t / horizon
 //! w = argmin Σ (w·ψ - y)² / n + ridge Σ' w²                (the constant is not shrunk)
 //! ```
+//!
+//! An input takes part when at least a hundredth of its variance in the batch is no linear function of the inputs
+//! before it. The hinges of a parallel linkage and their velocities are such functions of each other: 26 of the pushing
+//! task's 38 inputs take part, which makes 382 features in place of 784.
 //!
 //! The fit follows the paper's quadratic function approximator. Clipping keeps one object flung across the table from
 //! deciding about all other states. For advantages without the bias of a function fitted to the very same samples,
@@ -16,13 +20,16 @@ use serde::{Deserialize, Serialize};
 use super::gram::{self, Gram};
 
 const CLIP: f64 = 4.0;
+/// Share of an input's variance that the inputs before it must leave unexplained. The loops of the model close to a few
+/// percent of a joint's standard deviation.
+const INDEPENDENT: f64 = 0.01;
 const N_TIME: usize = 4;
 
 /// A value function.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Baseline {
     mean: Vec<f64>,
-    /// 0 marks a constant observation, which takes no part
+    /// 0 marks an input that takes no part: a constant, or a linear function of those before it
     inverse_scale: Vec<f64>,
     /// in the order of the features; empty: no fit yet, the value is 0
     weights: Vec<f64>,
@@ -75,7 +82,7 @@ impl Baseline {
     }
 
     fn n_feature(&self) -> usize {
-        let n = self.mean.len();
+        let n = self.inverse_scale.iter().filter(|x| **x != 0.0).count();
         1 + n + n * (n + 1) / 2 + N_TIME
     }
 
@@ -88,10 +95,11 @@ impl Baseline {
                 .iter()
                 .zip(&self.mean)
                 .zip(&self.inverse_scale)
+                .filter(|(_, inverse)| **inverse != 0.0)
                 .map(|((s, mean), inverse)| ((s - mean) * inverse).clamp(-CLIP, CLIP)),
         );
-        let n = observation.len();
-        let products = start + 1 + n;
+        let products = out.len();
+        let n = products - start - 1;
         out.resize(products + n * (n + 1) / 2, 0.0);
         let (linear, mut rest) = out[start + 1..].split_at_mut(n);
         for i in 0..n {
@@ -248,42 +256,51 @@ pub fn fit(
 
 /// A weightless function that standardises as `targets` ask for.
 fn standardise(targets: &[Target<'_>], n_input: usize) -> Baseline {
-    let sums = gram::lanes(targets, |lane| {
-        let mut sum = vec![0.0; 2 * n_input + 1];
-        for target in lane {
-            for observation in target.inputs.chunks_exact(n_input) {
-                for (i, s) in observation.iter().enumerate() {
-                    sum[i] += s;
-                    sum[n_input + i] += s * s;
-                }
-                sum[2 * n_input] += 1.0;
-            }
+    // Σ (1, s)(1, s)ᵀ
+    let mut total = DMatrix::zeros(n_input + 1, n_input + 1);
+    let mut count = 0;
+    for (sum, n) in gram::lanes(targets, |lane| {
+        let mut gram = Gram::new(n_input + 1);
+        for observation in lane.flat_map(|t| t.inputs.chunks_exact(n_input)) {
+            gram.push(|panel| {
+                panel.push(1.0);
+                panel.extend_from_slice(observation);
+            });
         }
-        sum
-    });
-    let mut total = vec![0.0; 2 * n_input + 1];
-    for sum in sums {
-        for (t, s) in total.iter_mut().zip(sum) {
-            *t += s;
+        gram.finish()
+    }) {
+        total += sum;
+        count += n;
+    }
+    let mut covariance = total.view((1, 1), (n_input, n_input)).into_owned();
+    let mut mean = total.view((1, 0), (n_input, 1)).into_owned();
+    covariance /= count.max(1) as f64;
+    mean /= count.max(1) as f64;
+    covariance -= &mean * mean.transpose();
+
+    // Cholesky, leaving out each row that the ones before it explain
+    let mut inverse_scale = vec![0.0; n_input];
+    let mut factor = DMatrix::<f64>::zeros(n_input, n_input);
+    for i in 0..n_input {
+        let variance: f64 = covariance[(i, i)];
+        // below the rounding of the sums the input is a constant
+        if variance <= 1e-12 * (1.0 + mean[i] * mean[i]) {
+            continue;
+        }
+        for j in (0..i).filter(|j| inverse_scale[*j] != 0.0) {
+            let explained = factor.row(i).dot(&factor.row(j));
+            factor[(i, j)] = (covariance[(i, j)] - explained) / factor[(j, j)];
+        }
+        let unexplained = variance - factor.row(i).norm_squared();
+        if unexplained < INDEPENDENT * variance {
+            factor.row_mut(i).fill(0.0);
+        } else {
+            factor[(i, i)] = unexplained.sqrt();
+            inverse_scale[i] = variance.sqrt().recip();
         }
     }
-    let count = total[2 * n_input].max(1.0);
-    let mean: Vec<f64> = total[..n_input].iter().map(|s| s / count).collect();
-    let inverse_scale = mean
-        .iter()
-        .zip(&total[n_input..2 * n_input])
-        .map(|(mean, square)| {
-            let variance = square / count - mean * mean;
-            // below the rounding of the sums the observation is a constant
-            if variance > 1e-12 * (1.0 + mean * mean) {
-                variance.sqrt().recip()
-            } else {
-                0.0
-            }
-        })
-        .collect();
     Baseline {
-        mean,
+        mean: mean.as_slice().to_vec(),
         inverse_scale,
         weights: Vec::new(),
     }

@@ -40,7 +40,8 @@ pub(super) fn step(
     (kl_divergence(policy, &origin, second), origin)
 }
 
-/// KL(old ‖ new) averaged over observations with second moment `second`.
+/// KL(old ‖ new) averaged over steps, where `second` is `E[ψψᵀ]` of the score's features (observation and 1 for white noise;
+/// see [`crate::exploration`]).
 pub fn kl_divergence(old: &AffineGaussian, new: &AffineGaussian, second: &DMatrix<f64>) -> f64 {
     let width = second.nrows();
     let rows = old

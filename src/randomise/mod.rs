@@ -14,6 +14,7 @@
 
 mod resolve;
 
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 

@@ -177,11 +177,14 @@ impl Binding {
                 return refuse(format!("two channels would be called `{name}`"));
             }
         }
+        let keeps = |c: &Channel| !self.ignore.contains(&c.name);
+        recording
+            .streams
+            .retain(|s| s.channels.is_empty() || s.channels.iter().any(keeps));
         for stream in &mut recording.streams {
             self.drop_ignored(stream);
             self.change(stream);
         }
-        recording.streams.retain(|s| !s.channels.is_empty());
         Ok(())
     }
 

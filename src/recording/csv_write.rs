@@ -46,6 +46,13 @@ fn check(recording: &Recording) -> Result<(), String> {
             return Err(format!("stream `{}` has no channels", stream.name));
         }
         for channel in &stream.channels {
+            // readers of tables take blanks around a name for layout
+            if channel.name.trim() != channel.name || channel.name.is_empty() {
+                return Err(format!(
+                    "channel `{}` has a name that a table cannot hold",
+                    channel.name
+                ));
+            }
             if !names.insert(&channel.name) {
                 return Err(format!("two columns would be called `{}`", channel.name));
             }

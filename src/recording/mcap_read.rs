@@ -26,8 +26,8 @@ pub(super) const NOISE: &str = "noise_sigma";
 
 /// Largest chunk or record in bytes; writers make chunks of about 1 MB.
 const CHUNK_LIMIT: u64 = 256 << 20;
-/// Largest ratio of a chunk to its compressed bytes; recordings reach a few hundred when nothing moves.
-const EXPANSION_LIMIT: u64 = 10_000;
+/// Largest ratio of a chunk to its compressed bytes; recordings reach some hundred when nothing moves.
+const EXPANSION_LIMIT: u64 = 2_000;
 /// Opcode and length.
 const PREFIX: u64 = 9;
 
@@ -233,9 +233,10 @@ fn unpack(header: &ChunkHeader, data: &[u8], chunk: &mut Vec<u8>) -> Result<(), 
                 .map_err(|error| Stop::Damage(format!("a chunk does not unpack: {error}")))?;
         }
         other => {
-            return Err(Stop::Damage(format!(
-                "a chunk is packed by `{other}`; expected zstd or nothing"
-            )));
+            return Err(Stop::Content {
+                place: "a chunk".into(),
+                reason: format!("packed by `{other}`, expected zstd or nothing"),
+            });
         }
     }
     if chunk.len() as u64 != size {

@@ -1,6 +1,6 @@
 //! Recorded logs of a machine: several streams, each with its own clock, channels and units.
 //!
-//! A recording is read from and written to MCAP, or CSV ([`read`], [`write`]). In memory a stream holds its stamps
+//! A recording is read from and written to MCAP, or CSV ([`read()`], [`write()`]). In memory a stream holds its stamps
 //! and one row of numbers a stamp:
 //!
 //! ```text

@@ -41,8 +41,12 @@ pub struct ScheduleConfig {
     pub iterations: u64,
     /// seed of every random stream
     pub seed: u64,
-    /// trajectories an iteration
+    /// trajectories of the first iteration
     pub trajectories: usize,
+    /// the batch grows up to this while the gradients of its halves disagree
+    pub max_trajectories: usize,
+    /// cosine between the halves' natural gradients below which the batch grows; 0: it stays
+    pub growth_cosine: f64,
     /// length of a trajectory, s
     pub trajectory_s: f64,
     /// physics step in training, s (evaluation uses the model's own)
@@ -74,6 +78,8 @@ impl Default for ScheduleConfig {
             iterations: 80,
             seed: 0,
             trajectories: 600,
+            max_trajectories: 1200,
+            growth_cosine: 0.0,
             trajectory_s: 1.0,
             timestep_s: 0.004,
             control_hold: 2,
@@ -132,6 +138,7 @@ impl TrainConfig {
         for (key, value) in [
             ("train.continued_share", train.continued_share),
             ("train.good_share", train.good_share),
+            ("train.growth_cosine", train.growth_cosine),
         ] {
             check(
                 key,
@@ -142,6 +149,7 @@ impl TrainConfig {
         }
         for (key, value) in [
             ("train.trajectories", train.trajectories),
+            ("train.max_trajectories", train.max_trajectories),
             ("train.control_hold", train.control_hold),
             ("train.evaluation_rollouts", train.evaluation_rollouts),
             ("train.checkpoint_every", train.checkpoint_every as usize),

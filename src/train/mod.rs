@@ -3,6 +3,7 @@
 //! A [`Trainer`] is advanced one iteration at a time and hands back a record of it; it neither prints nor writes. Its
 //! whole state is a [`Checkpoint`], from which a run continues to the same bits.
 
+mod batch_size;
 pub mod config;
 
 use std::sync::Arc;
@@ -22,6 +23,7 @@ use crate::rollout::{
 };
 use crate::task::push::PushTask;
 use crate::task::{ObservationGroup, Task, TaskError};
+pub use batch_size::BatchSize;
 use config::{SettingError, TrainConfig};
 
 /// Seed of every evaluation during training, so that the figures of a run compare.
@@ -65,6 +67,8 @@ pub struct Checkpoint {
     pub iteration: u64,
     /// current policy
     pub policy: AffineGaussian,
+    /// how many trajectories the next iteration takes
+    pub batch_size: BatchSize,
     /// current value function
     pub baseline: Baseline,
     /// states to continue from
@@ -162,6 +166,7 @@ impl Trainer {
         let state = Checkpoint {
             iteration: 0,
             policy,
+            batch_size: BatchSize::new(config.train.trajectories),
             baseline: Baseline::zero(task.n_value_input()),
             pool: Vec::new(),
             physics_steps: 0,
@@ -189,6 +194,11 @@ impl Trainer {
         checkpoint
             .policy
             .check(self.task.n_observation(), self.task.n_action())?;
+        if !checkpoint.batch_size.is_sound() {
+            return Err(TrainError::Checkpoint(
+                "`batch_size` has no trajectory or a number that is not finite".into(),
+            ));
+        }
         if !checkpoint.baseline.is_sound(self.task.n_value_input()) {
             return Err(TrainError::Checkpoint(
                 "`baseline` has a wrong length or a number that is not finite".into(),
@@ -251,7 +261,7 @@ impl Trainer {
         let request = BatchRequest {
             seed: train.seed,
             iteration: self.state.iteration,
-            n_trajectory: train.trajectories,
+            n_trajectory: self.state.batch_size.n_trajectory(),
             pool: &self.state.pool,
             pool_share: train.continued_share,
         };
@@ -277,6 +287,9 @@ impl Trainer {
             Err(error @ NpgError::NoTrajectory { .. }) => return Err(error.into()),
             other => other.map_err(|error| error.to_string()),
         };
+        if let Ok(report) = &update {
+            self.state.batch_size.follow(report.half_cosine, train);
+        }
         let update_s = update_begin.elapsed().as_secs_f64();
 
         // states to start from

@@ -7,6 +7,7 @@ use phantom::rng;
 const HORIZON: usize = 25;
 const N: usize = 3;
 
+#[derive(Clone)]
 struct Sample {
     observations: Vec<f64>,
     returns: Vec<f64>,
@@ -85,12 +86,15 @@ fn a_stride_visits_every_time() {
             .for_each(|y| *y = 1.0);
     }
     let fit = fit_to(&samples, 2, 1e-6).expect("enough");
-    let mean = samples
-        .iter()
-        .flat_map(|s| values(&fit.all, s))
-        .sum::<f64>()
-        / (80 * HORIZON) as f64;
-    assert!((mean - 0.48).abs() < 0.03, "{mean}");
+    // and in each half, or one of them would take the spike for all there is
+    for baseline in [&fit.all, &fit.crossed[0], &fit.crossed[1]] {
+        let mean = samples
+            .iter()
+            .flat_map(|s| values(baseline, s))
+            .sum::<f64>()
+            / (80 * HORIZON) as f64;
+        assert!((mean - 0.48).abs() < 0.03, "{mean}");
+    }
     assert_eq!(fit.report.n_sample, 40 * 13 + 40 * 12);
 }
 
@@ -167,6 +171,44 @@ fn constant_targets_and_observations_are_harmless() {
     let mut bad = samples;
     bad[0].returns[0] = f64::NAN;
     assert!(fit_to(&bad, 1, 1e-6).is_none());
+}
+
+#[test]
+fn inputs_that_follow_from_others_take_no_part() {
+    // a linkage: the second input is the first, scaled, moved and all but exact
+    let mut linked = samples(40, planted);
+    for sample in &mut linked {
+        for s in sample.observations.chunks_exact_mut(N) {
+            s[1] = 4.0 - 2.0 * s[0] + 1e-3 * s[2];
+        }
+    }
+    let report = fit_to(&linked, 1, 1e-4).expect("enough");
+    // as if it were a constant
+    let mut constant = linked.clone();
+    for sample in &mut constant {
+        sample
+            .observations
+            .iter_mut()
+            .skip(1)
+            .step_by(N)
+            .for_each(|s| *s = 1.0);
+    }
+    let without = fit_to(&constant, 1, 1e-4).expect("enough");
+    for (a, b) in linked.iter().zip(&constant) {
+        for (v, w) in values(&report.all, a).iter().zip(values(&without.all, b)) {
+            assert!((v - w).abs() < 1e-9, "{v} {w}");
+        }
+    }
+    // with a fifth of its deviation of its own it takes part: moving it alone changes the value
+    for sample in &mut linked {
+        for s in sample.observations.chunks_exact_mut(N) {
+            s[1] = 4.0 - 2.0 * s[0] + 0.2 * s[2];
+        }
+    }
+    let all = fit_to(&linked, 1, 1e-4).expect("enough").all;
+    let mut moved = linked[0].clone();
+    moved.observations[1] += 0.1;
+    assert_ne!(values(&all, &moved)[0], values(&all, &linked[0])[0]);
 }
 
 #[test]
