@@ -37,6 +37,7 @@ pub mod rig;
 pub mod rng;
 pub mod rollout;
 pub mod run_dir;
+pub mod supplement;
 pub mod sysid;
 pub mod task;
 pub mod train;

@@ -1,5 +1,6 @@
 //! One simulation: mjData and the model it was made for.
 
+use super::extension::Extended;
 use super::guard::{guarded, guarded_once, initialise, null_error};
 use super::{Model, MujocoError, ObjectKind, Result, ffi};
 use std::ptr::NonNull;
@@ -40,6 +41,8 @@ pub struct Data {
     pub(super) model: Arc<Model>,
     /// Message of the fatal error after which nothing may be computed any more.
     poison: Option<String>,
+    /// The model's extension at work here.
+    pub(super) extended: Option<Box<Extended>>,
 }
 
 // SAFETY: mjData holds no thread-bound resource, and this type owns it. It is not `Sync` because
@@ -58,6 +61,7 @@ impl Data {
         let raw = allocate(&model)?;
         Ok(Self {
             raw,
+            extended: Extended::of(&model),
             model,
             poison: None,
         })
@@ -174,6 +178,7 @@ impl Data {
     pub fn reset(&mut self) {
         // SAFETY: invariant 2.
         let _ = self.call(|m, d| unsafe { ffi::mj_resetData(m, d) });
+        self.forget();
     }
 
     /// Back to keyframe `id`.
@@ -182,6 +187,7 @@ impl Data {
     /// [`MujocoError::Index`].
     pub fn reset_to_keyframe(&mut self, id: usize) -> Result<()> {
         let id = self.model.check_id(ObjectKind::Keyframe, id)?;
+        self.forget();
         // SAFETY: invariant 2, keyframe in range.
         self.call(|m, d| unsafe { ffi::mj_resetDataKeyframe(m, d, id) })
     }

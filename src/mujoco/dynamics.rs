@@ -1,6 +1,7 @@
 //! What `MuJoCo` computes: stepping, single stages, inverse dynamics, Jacobians.
 
 use super::data::check;
+use super::extension::{Direction, Stage};
 use super::{Data, Model, MujocoError, ObjectKind, Result, ffi};
 use std::ptr;
 
@@ -9,9 +10,14 @@ impl Data {
     ///
     /// # Errors
     /// [`MujocoError::NotFinite`] for NaN in the mocap pose, [`MujocoError::Fatal`],
-    /// [`MujocoError::Poisoned`].
+    /// [`MujocoError::Poisoned`]; [`MujocoError::RungeKutta`] with an extension.
     #[inline]
     pub fn step(&mut self) -> Result<()> {
+        if self.is_extended() {
+            self.check_integrator()?;
+            self.step1()?;
+            return self.step2();
+        }
         self.check_mocap()?;
         // SAFETY: invariants 2 and 5; MuJoCo itself checks qpos, qvel, ctrl.
         self.call(|m, d| unsafe { ffi::mj_step(m, d) })
@@ -24,7 +30,10 @@ impl Data {
     pub fn step1(&mut self) -> Result<()> {
         self.check_mocap()?;
         // SAFETY: as in `step`.
-        self.call(|m, d| unsafe { ffi::mj_step1(m, d) })
+        self.call_that_resets(|m, d| unsafe { ffi::mj_step1(m, d) })?;
+        self.keep_passive()?;
+        self.sense(Stage::Position)?;
+        self.sense(Stage::Velocity)
     }
 
     /// Second half of a step, from the controls on (never Runge-Kutta).
@@ -32,8 +41,12 @@ impl Data {
     /// # Errors
     /// As [`Data::step`].
     pub fn step2(&mut self) -> Result<()> {
+        self.prepare(Direction::Forward)?;
         // SAFETY: invariant 2; what it reads was checked by the position stage before it.
-        self.call(|m, d| unsafe { ffi::mj_step2(m, d) })
+        self.call_that_resets(|m, d| unsafe { ffi::mj_step2(m, d) })?;
+        self.conclude(true)?;
+        self.advance_memory();
+        Ok(())
     }
 
     /// Everything that follows from state and inputs, up to qacc and sensors; no time passes.
@@ -41,6 +54,14 @@ impl Data {
     /// # Errors
     /// [`MujocoError::NotFinite`] for NaN in positions or velocities; as [`Data::step`].
     pub fn forward(&mut self) -> Result<()> {
+        if self.is_extended() {
+            self.states_and_sensors()?;
+            self.prepare(Direction::Forward)?;
+            let skip_stage = ffi::mjtStage_::mjSTAGE_VEL as i32;
+            // SAFETY: invariants 2 and 5; the skipped stages were computed above.
+            self.call(|m, d| unsafe { ffi::mj_forwardSkip(m, d, skip_stage, 0) })?;
+            return self.conclude(true);
+        }
         self.check_position()?;
         check("qvel", self.qvel())?;
         // SAFETY: invariants 2 and 5.
@@ -52,10 +73,23 @@ impl Data {
     /// # Errors
     /// As [`Data::forward`].
     pub fn inverse(&mut self) -> Result<()> {
+        if self.is_extended() {
+            self.states_and_sensors()?;
+            return self.inverse_of_acceleration(true);
+        }
         self.check_position()?;
         check("qvel", self.qvel())?;
         // SAFETY: invariants 2 and 5.
         self.call(|m, d| unsafe { ffi::mj_inverse(m, d) })
+    }
+
+    /// Both stages that come before accelerations, with their sensors.
+    fn states_and_sensors(&mut self) -> Result<()> {
+        check("qvel", self.qvel())?;
+        self.position_stage()?;
+        self.position_sensors()?;
+        self.velocity_stage()?;
+        self.velocity_sensors()
     }
 
     /// Inverse dynamics after [`Data::position_stage`] and [`Data::velocity_stage`]: `qfrc_inverse` from qacc, and with
@@ -67,18 +101,23 @@ impl Data {
         check("qacc", self.qacc())?;
         let skip_stage = ffi::mjtStage_::mjSTAGE_VEL as i32;
         let skip_sensor = i32::from(!sensors);
+        self.prepare(Direction::Inverse)?;
         // SAFETY: invariants 2 and 5; the skipped stages were computed by the calls named above.
-        self.call(|m, d| unsafe { ffi::mj_inverseSkip(m, d, skip_stage, skip_sensor) })
+        self.call(|m, d| unsafe { ffi::mj_inverseSkip(m, d, skip_stage, skip_sensor) })?;
+        self.conclude(sensors)
     }
 
     /// Forces of the actuators into `qfrc_actuator` from ctrl and act, and `act_dot`; after
-    /// [`Data::velocity_stage`].
+    /// [`Data::velocity_stage`]. With an extension from the controls that reach the actuators.
     ///
     /// # Errors
     /// [`MujocoError::NotFinite`] for NaN in ctrl or act; as [`Data::forward`].
     pub fn actuation(&mut self) -> Result<()> {
         check("ctrl", self.ctrl())?;
         check("act", self.act())?;
+        if self.is_extended() {
+            return self.extended_actuation();
+        }
         // SAFETY: invariant 2.
         self.call(|m, d| unsafe { ffi::mj_fwdActuation(m, d) })
     }
@@ -111,7 +150,8 @@ impl Data {
     /// As [`Data::forward`].
     pub fn velocity_stage(&mut self) -> Result<()> {
         // SAFETY: invariant 2.
-        self.call(|m, d| unsafe { ffi::mj_fwdVelocity(m, d) })
+        self.call(|m, d| unsafe { ffi::mj_fwdVelocity(m, d) })?;
+        self.keep_passive()
     }
 
     /// Position-dependent sensors into `sensordata`; after [`Data::position_stage`].
@@ -120,7 +160,8 @@ impl Data {
     /// As [`Data::forward`].
     pub fn position_sensors(&mut self) -> Result<()> {
         // SAFETY: invariant 2.
-        self.call(|m, d| unsafe { ffi::mj_sensorPos(m, d) })
+        self.call(|m, d| unsafe { ffi::mj_sensorPos(m, d) })?;
+        self.sense(Stage::Position)
     }
 
     /// Velocity-dependent sensors into `sensordata`; after [`Data::velocity_stage`].
@@ -129,7 +170,8 @@ impl Data {
     /// As [`Data::forward`].
     pub fn velocity_sensors(&mut self) -> Result<()> {
         // SAFETY: invariant 2.
-        self.call(|m, d| unsafe { ffi::mj_sensorVel(m, d) })
+        self.call(|m, d| unsafe { ffi::mj_sensorVel(m, d) })?;
+        self.sense(Stage::Velocity)
     }
 
     /// Dense joint-space inertia (nv × nv) of the last position stage.

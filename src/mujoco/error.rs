@@ -97,6 +97,11 @@ pub enum MujocoError {
         /// `MuJoCo`'s own message.
         message: String,
     },
+    /// A step of this integrator cannot be cut where an extension acts.
+    #[error(
+        "the integrator is RK4, whose steps cannot hold what the model's supplement adds; use Euler or implicit"
+    )]
+    RungeKutta,
     /// The data had a fatal error before.
     #[error("this simulation had a fatal error before and cannot be used: {message}")]
     Poisoned {

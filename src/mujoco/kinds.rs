@@ -49,6 +49,8 @@ kinds! {
     Actuator "actuator" mjOBJ_ACTUATOR nu;
     Sensor "sensor" mjOBJ_SENSOR nsensor;
     Numeric "numeric" mjOBJ_NUMERIC nnumeric;
+    Text "text" mjOBJ_TEXT ntext;
+    Tuple "tuple" mjOBJ_TUPLE ntuple;
     Keyframe "keyframe" mjOBJ_KEY nkey;
 }
 

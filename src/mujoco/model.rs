@@ -2,7 +2,7 @@
 
 use super::guard::{guarded_once, initialise, null_error};
 use super::kinds::{Cone, Integrator, Jacobian, ObjectKind, Solver, SolverOptions};
-use super::{ModelEdit, MujocoError, Result, ffi};
+use super::{Extension, ModelEdit, MujocoError, Result, ffi};
 use std::ffi::{CStr, CString, c_char};
 use std::fs;
 use std::os::unix::ffi::OsStrExt;
@@ -28,6 +28,8 @@ pub struct Model {
     warning: Option<Arc<str>>,
     /// Arrays that an edit handed out and nobody has checked for NaN since.
     pub(super) unchecked: Vec<&'static str>,
+    /// Physics beyond the engine's.
+    extension: Option<Arc<dyn Extension>>,
 }
 
 // SAFETY: mjModel holds no thread-bound resource, and this type owns it.
@@ -65,7 +67,25 @@ impl Model {
     /// # Errors
     /// [`MujocoError::Load`] with `MuJoCo`'s message.
     pub fn from_xml_str(xml: &str) -> Result<Self> {
-        let file = Path::new("<string>");
+        Self::from_text(xml, STRING_NAME, Path::new("<string>"))
+    }
+
+    /// Compiles MJCF text as if it were the content of the file `path`, beside which other files are looked up.
+    ///
+    /// # Errors
+    /// As [`Model::from_xml_str`], and [`MujocoError::File`] for a path that holds a NUL.
+    pub fn from_xml_text(xml: &str, path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        // the engine looks given text up by the file's name, in which it allows 99 characters; ours is short
+        let name = path.with_file_name("text.phantom.xml");
+        let name = CString::new(name.as_os_str().as_bytes()).map_err(|_| MujocoError::File {
+            file: path.into(),
+            reason: "its path holds a NUL".into(),
+        })?;
+        Self::from_text(xml, &name, path)
+    }
+
+    fn from_text(xml: &str, name: &CStr, file: &Path) -> Result<Self> {
         let refuse = |message: &str| MujocoError::Load {
             file: file.into(),
             message: message.into(),
@@ -90,7 +110,7 @@ impl Model {
             let content = unsafe { (*vfs).filedata[0] };
             // SAFETY: that buffer has `size` bytes and does not overlap the text.
             unsafe { ptr::copy_nonoverlapping(xml.as_ptr(), content.cast(), xml.len()) };
-            Self::load(file, STRING_NAME, vfs)
+            Self::load(file, name, vfs)
         } else {
             Err(refuse("out of memory"))
         };
@@ -122,6 +142,7 @@ impl Model {
             origin,
             warning: (!message.is_empty()).then(|| message.into()),
             unchecked: Vec::new(),
+            extension: None,
         })
     }
 
@@ -138,7 +159,20 @@ impl Model {
             origin: self.origin,
             warning: self.warning.clone(),
             unchecked: self.unchecked.clone(),
+            extension: self.extension.clone(),
         })
+    }
+
+    /// This model with physics beyond the engine's in every simulation made of it or of its copies.
+    #[must_use]
+    pub fn with_extension(mut self, extension: Arc<dyn Extension>) -> Self {
+        self.extension = Some(extension);
+        self
+    }
+
+    /// The physics beyond the engine's, if it has some.
+    pub fn extension(&self) -> Option<&Arc<dyn Extension>> {
+        self.extension.as_ref()
     }
 
     /// The C structure, for reading.

@@ -1,7 +1,7 @@
 //! The simulation state: what must be kept to continue with the same bits.
 //!
 //! Order: time, qpos, qvel, act, ctrl, `mocap_pos`, `mocap_quat`, userdata, `qfrc_applied`,
-//! `xfrc_applied`, `qacc_warmstart`, qacc. Everything else is recomputed by the next step. Warning
+//! `xfrc_applied`, `qacc_warmstart`, qacc, and the memory of the model's extension. Everything else is recomputed by the next step. Warning
 //! counts are not part of it.
 
 use super::{Data, MujocoError, Result};
@@ -12,6 +12,7 @@ macro_rules! state_fields {
         #[derive(Debug, Clone, Default, PartialEq)]
         pub struct State {
             time: f64,
+            memory: Vec<f64>,
             $($name: Vec<f64>,)+
         }
 
@@ -27,6 +28,8 @@ macro_rules! state_fields {
             /// Writes the state into `state`, without allocating if it was used with this model.
             pub fn save_state(&self, state: &mut State) {
                 state.time = self.time();
+                state.memory.clear();
+                state.memory.extend_from_slice(self.memory());
                 $(state.$name.clear();
                 state.$name.extend_from_slice(self.$name());)+
             }
@@ -42,6 +45,7 @@ macro_rules! state_fields {
                 if expected != got {
                     return Err(MujocoError::Length { name: stringify!($name), expected, got });
                 })+
+                self.set_memory(&state.memory)?;
                 self.set_time(state.time);
                 $(self.$name_mut().copy_from_slice(&state.$name);)+
                 Ok(())
@@ -73,6 +77,11 @@ impl State {
     /// Sets the simulated time in seconds.
     pub fn set_time(&mut self, time: f64) {
         self.time = time;
+    }
+
+    /// [`Data::memory`] as saved.
+    pub fn memory(&self) -> &[f64] {
+        &self.memory
     }
 }
 

@@ -21,6 +21,7 @@ impl Data {
         let recompute = edit.recompute;
         drop(edit);
         self.forget_constraints_unless_solved_as(&before);
+        self.fit_extension();
         let result = result.unwrap_or_else(|panic| resume_unwind(panic));
         self.model().first_bad_edit()?;
         if recompute {
@@ -39,6 +40,7 @@ impl Data {
         let before = self.model().raw().opt;
         self.model = model;
         self.forget_constraints_unless_solved_as(&before);
+        self.fit_extension();
         Ok(())
     }
 
@@ -57,6 +59,7 @@ impl Data {
         let before = self.model().raw().opt;
         self.own_model()?.copy_numbers(nominal);
         self.forget_constraints_unless_solved_as(&before);
+        self.fit_extension();
         Ok(())
     }
 

@@ -1,0 +1,240 @@
+//! Physics that `MuJoCo` 2.2.2 cannot express, written in the model file as custom elements:
+//!
+//! ```xml
+//! <custom>
+//!   <numeric name="phantom:stribeck_friction:p0_turret" data="0.02 0.1"/>   <!-- excess N m, speed rad/s -->
+//! </custom>
+//! ```
+//!
+//! The name is `phantom:` *kind* `:` *element*; the numbers are those of the kind, in its order ([`KINDS`]). Any `MuJoCo`
+//! loads such a file and ignores them. [`load`] makes a model that obeys them: a [`Supplement`] is the model's
+//! [`Extension`], so that steps, forward and inverse dynamics and sensors contain it wherever the model is used. The
+//! numbers are read from `numeric_data` of the model in use; a parameter of a supplement is changed like any other
+//! number of a model (`custom/phantom:stribeck_friction:p0_turret data[0]`, see [`crate::mjcf`]).
+//!
+//! | part of a step | laws |
+//! | --- | --- |
+//! | commands | [`command`]: delay, lag, ripple |
+//! | forces | [`transmission`], [`friction`], [`joint`], [`contact`] |
+//! | readings | [`encoder`], [`sensor`], and the motor side of a [`transmission`] |
+//!
+//! A law of size 0 changes no bit. `scripts/phantom_supplement.py` does the same with the Python package.
+
+#![allow(clippy::unnecessary_wraps)] // laws that fit everywhere are built like those that do not
+
+mod command;
+mod contact;
+mod encoder;
+mod friction;
+mod joint;
+mod law;
+mod parse;
+mod sensor;
+mod transmission;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::mujoco::{Data, Extension, Forces, Model, MujocoError, Stage};
+use law::{At, Law};
+pub use parse::{Element, KINDS, Kind, Number, PREFIX, name_of};
+
+/// Longest delay of a command or reading, s.
+pub const MAX_DELAY_S: f64 = 0.05;
+
+/// What can be wrong with the custom elements of a model.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum SupplementError {
+    /// The model itself does not load.
+    #[error(transparent)]
+    Mujoco(#[from] MujocoError),
+    /// An element cannot be used.
+    #[error("custom element `{name}`: {reason}")]
+    Element {
+        /// its name
+        name: String,
+        /// what is wrong, and what there is instead
+        reason: String,
+    },
+}
+
+/// One custom element bound to the model.
+#[derive(Debug)]
+struct Term {
+    kind: &'static Kind,
+    element: String,
+    first: usize, // of its numbers in numeric_data
+    law: Box<dyn Law>,
+}
+
+/// All supplements of a model.
+#[derive(Debug)]
+pub struct Supplement {
+    terms: Vec<Term>, // in the order of `KINDS`
+    /// per hinge or slide whose encoder does not show the joint itself: (joint, address in sensordata, which of both)
+    read: Vec<(usize, usize, usize)>,
+}
+
+/// Loads a model file with its supplements.
+///
+/// # Errors
+/// A model that does not load, a custom element that cannot be used.
+pub fn load(path: impl AsRef<Path>) -> Result<Model, SupplementError> {
+    attach(Model::from_xml_path(path)?)
+}
+
+/// Compiles a model text as if it were the file `path`, with its supplements.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_text(xml: &str, path: impl AsRef<Path>) -> Result<Model, SupplementError> {
+    attach(Model::from_xml_text(xml, path)?)
+}
+
+/// The model with the supplements that it names.
+///
+/// # Errors
+/// A custom element that cannot be used.
+pub fn attach(model: Model) -> Result<Model, SupplementError> {
+    Ok(match Supplement::of(&model)? {
+        None => model,
+        Some(supplement) => model.with_extension(Arc::new(supplement)),
+    })
+}
+
+impl Supplement {
+    /// The supplements that a model names; none if there are none.
+    ///
+    /// # Errors
+    /// A custom element that cannot be used.
+    pub fn of(model: &Model) -> Result<Option<Self>, SupplementError> {
+        let terms = parse::terms(model)?;
+        if terms.is_empty() {
+            return Ok(None);
+        }
+        let read = encoder::sensors(model)
+            .filter(|(joint, ..)| terms.iter().any(|t| t.law.reads(*joint)))
+            .collect();
+        Ok(Some(Self { terms, read }))
+    }
+
+    /// Kind and element of each.
+    pub fn list(&self) -> impl Iterator<Item = (&'static str, &str)> {
+        self.terms.iter().map(|t| (t.kind.name, t.element.as_str()))
+    }
+
+    /// Seconds by which samples of encoders are older than they say.
+    pub fn encoder_delay_s(&self, model: &Model) -> f64 {
+        let late = self.terms.iter().filter(|t| t.kind.name == encoder::DELAY);
+        late.map(|t| t.numbers(model)[0]).sum()
+    }
+
+    /// Whether motors stand apart from their joints, so that encoders show where motors are.
+    pub fn has_transmission(&self) -> bool {
+        self.terms.iter().any(|t| t.kind.element == Element::Motor)
+    }
+
+    /// Terms with their parts of the memory.
+    fn each<'a>(
+        &'a self,
+        data: &'a Data,
+        memory: &'a [f64],
+    ) -> impl Iterator<Item = (&'a Term, At<'a>)> {
+        let mut memory = memory;
+        let timestep = data.model().timestep();
+        self.terms.iter().map(move |term| {
+            let (own, rest) = memory.split_at(term.law.memory_len(timestep));
+            memory = rest;
+            let numbers = term.numbers(data.model());
+            (
+                term,
+                At {
+                    data,
+                    numbers,
+                    memory: own,
+                    timestep,
+                },
+            )
+        })
+    }
+
+    /// What an encoder would show without delay, by the first `n` terms.
+    fn instantaneous(&self, data: &Data, memory: &[f64], joint: usize, n: usize) -> [f64; 2] {
+        let mut reading = data.joint_state(joint);
+        for (term, at) in self.each(data, memory).take(n) {
+            term.law.encode(&at, joint, &mut reading);
+        }
+        reading
+    }
+}
+
+impl Term {
+    fn numbers<'a>(&self, model: &'a Model) -> &'a [f64] {
+        &model.numeric_data()[self.first..self.first + self.kind.numbers.len()]
+    }
+}
+
+/// Cuts the part of one term off `next`.
+fn cut<'a>(next: &mut &'a mut [f64], n: usize) -> &'a mut [f64] {
+    let (own, rest) = std::mem::take(next).split_at_mut(n);
+    *next = rest;
+    own
+}
+
+impl Extension for Supplement {
+    fn memory_len(&self, model: &Model) -> usize {
+        let timestep = model.timestep();
+        self.terms.iter().map(|t| t.law.memory_len(timestep)).sum()
+    }
+
+    fn command(&self, data: &Data, memory: &[f64], ctrl: &mut [f64], mut next: &mut [f64]) {
+        for (term, at) in self.each(data, memory) {
+            let own = cut(&mut next, at.memory.len());
+            term.law.command(&at, ctrl, own);
+        }
+    }
+
+    fn force(&self, data: &Data, memory: &[f64], forces: &mut Forces, mut next: &mut [f64]) {
+        for (n, (term, at)) in self.each(data, memory).enumerate() {
+            let own = cut(&mut next, at.memory.len());
+            term.law.force(&at, forces, own);
+            let encoder = |joint| self.instantaneous(data, memory, joint, n);
+            term.law.record(&at, &encoder, own);
+        }
+    }
+
+    fn settle(&self, data: &Data, mut next: &mut [f64]) {
+        let timestep = data.model().timestep();
+        for term in &self.terms {
+            let own = cut(&mut next, term.law.memory_len(timestep));
+            term.law.settle(data, own);
+        }
+    }
+
+    fn sense(&self, data: &Data, memory: &[f64], stage: Stage, sensordata: &mut [f64]) {
+        for (term, at) in self.each(data, memory) {
+            term.law.sense(&at, stage, sensordata);
+        }
+        for &(joint, address, which) in &self.read {
+            if stage == [Stage::Position, Stage::Velocity][which] {
+                sensordata[address] = self.encoder(data, memory, joint)[which];
+            }
+        }
+    }
+
+    fn encoder(&self, data: &Data, memory: &[f64], joint: usize) -> [f64; 2] {
+        self.instantaneous(data, memory, joint, self.terms.len())
+    }
+
+    fn decode(&self, data: &Data, memory: &[f64], joint: usize, reading: [f64; 2]) -> [f64; 2] {
+        let terms: Vec<_> = self.each(data, memory).collect();
+        let mut state = reading;
+        for (term, at) in terms.iter().rev() {
+            term.law.decode(at, joint, &mut state);
+        }
+        state
+    }
+}

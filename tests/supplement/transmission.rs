@@ -1,0 +1,142 @@
+//! Play and stretch between motor and joint.
+
+use crate::machine::{ARMATURE, INERTIA, STEP, numeric, rotor, run, torque};
+
+const N: usize = 1200;
+/// of the link alone
+const LINK: f64 = INERTIA - ARMATURE;
+
+/// Two masses and what is between them, in steps of a thousandth.
+fn two_masses(n: usize, between: impl Fn(f64, f64) -> f64, start: f64) -> Vec<[f64; 3]> {
+    let fine = 1000;
+    let dt = STEP / f64::from(fine);
+    let (mut q, mut v, mut motor, mut w) = (0.0, 0.0, start, 0.0);
+    let mut all = Vec::new();
+    for k in 0..n {
+        all.push([q, motor, v]);
+        for _ in 0..fine {
+            let passed = between(motor - q, w - v);
+            v += dt * passed / LINK;
+            w += dt * (torque(k) - passed) / ARMATURE;
+            q += dt * v;
+            motor += dt * w;
+        }
+    }
+    all
+}
+
+#[test]
+fn a_spring_between_motor_and_joint() {
+    let (compliance, damping) = (0.02, 0.3);
+    let simulated = run(
+        &mut rotor(&numeric("transmission_compliance", "m", "0.02 0.3"), ""),
+        N,
+    );
+    let friction = 2.0 * damping * (ARMATURE / compliance).sqrt();
+    let fine = two_masses(
+        N,
+        |s, w| s / compliance + friction * w,
+        compliance * torque(0),
+    );
+    let stretch = fine
+        .iter()
+        .map(|[q, m, _]| (m - q).abs())
+        .fold(0.0, f64::max);
+    let travel = fine.iter().map(|[q, ..]| q.abs()).fold(0.0, f64::max);
+    assert!(stretch > 0.003 && travel > 0.1, "{stretch} {travel}");
+    for k in 1..N {
+        let [q, motor, _] = fine[k];
+        assert!(
+            (simulated.q[k] - q).abs() < 0.01 * travel,
+            "step {k}: {} {q}",
+            simulated.q[k]
+        );
+        let seen = simulated.reading[k][0] - simulated.q[k];
+        assert!(
+            (seen - (motor - q)).abs() < 0.08 * stretch,
+            "step {k}: {seen} {}",
+            motor - q
+        );
+    }
+}
+
+#[test]
+fn play_between_motor_and_joint() {
+    let play = 0.02;
+    let simulated = run(&mut rotor(&numeric("backlash", "m", "0.02"), ""), N);
+    // stiff flanks without rebound, at the motor's own time scale
+    let wall = 2e5;
+    let flank = |s: f64, w: f64| {
+        let depth = s.abs() - 0.5 * play;
+        if depth > 0.0 {
+            s.signum() * (wall * depth + 60.0 * s.signum() * w).max(0.0)
+        } else {
+            0.0
+        }
+    };
+    let fine = two_masses(N, flank, 0.5 * play);
+    let travel = fine.iter().map(|[q, ..]| q.abs()).fold(0.0, f64::max);
+    let mut crossings = 0;
+    for k in 1..N {
+        let [q, motor, _] = fine[k];
+        assert!(
+            (simulated.q[k] - q).abs() < 0.02 * travel,
+            "step {k}: {} {q}",
+            simulated.q[k]
+        );
+        let seen = simulated.reading[k][0] - simulated.q[k];
+        assert!(seen.abs() <= 0.5 * play + 1e-12, "{seen}");
+        if (motor - q) * (fine[k - 1][1] - fine[k - 1][0]) < 0.0 {
+            crossings += 1;
+        }
+    }
+    assert!(crossings > 5, "{crossings}");
+    // resting on a flank the motor is where the equation has it
+    let rests = (1..N).filter(|&k| (fine[k][1] - fine[k][0]).abs() >= 0.5 * play);
+    let agree = rests.clone().filter(|&k| {
+        (simulated.reading[k][0] - simulated.q[k] - (fine[k][1] - fine[k][0])).abs() < 0.02 * play
+    });
+    assert!(agree.count() as f64 > 0.97 * rests.count() as f64);
+}
+
+/// What the law takes from the joint is what the motor has: momentum is that of the torque alone.
+#[test]
+fn momentum_is_conserved() {
+    for (kind, numbers) in [
+        ("backlash", "0.02"),
+        ("transmission_compliance", "0.01 0.2"),
+    ] {
+        let mut data = rotor(&numeric(kind, "m", numbers), "");
+        let mut impulse = 0.0;
+        for k in 0..N {
+            data.ctrl_mut()[0] = torque(k);
+            data.step().expect("step");
+            impulse += STEP * torque(k);
+            let [_, motor_speed] = data.encoder(0);
+            let momentum = LINK * data.qvel()[0] + ARMATURE * motor_speed;
+            assert!(
+                (momentum - impulse).abs() < 1e-12,
+                "{kind}, step {k}: {momentum} {impulse}"
+            );
+        }
+    }
+}
+
+/// A rotor without inertia follows at once: the joint moves as if nothing were between.
+#[test]
+fn a_motor_without_inertia_only_moves_the_encoder() {
+    let text = crate::machine::text(&numeric("transmission_compliance", "m", "0.02 0.3"), "");
+    let text = text.replace(&format!("armature=\"{ARMATURE}\""), "");
+    let make = |text: &str| {
+        let model = phantom::mujoco::Model::from_xml_str(text).expect("loads");
+        let model = phantom::supplement::attach(model).expect("a law");
+        phantom::mujoco::Data::new(std::sync::Arc::new(model)).expect("data")
+    };
+    let simulated = run(&mut make(&text), N);
+    let plain = run(&mut make(&text.replace("phantom:", "other:")), N);
+    assert_eq!(simulated.q, plain.q);
+    for k in 2..N {
+        let stretch = simulated.reading[k][0] - simulated.q[k];
+        assert!((stretch - 0.02 * torque(k - 1)).abs() < 1e-12, "step {k}");
+    }
+}
