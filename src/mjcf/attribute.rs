@@ -3,7 +3,7 @@
 //! An address is `kind/glob attribute[component]`: `joint/p*_upper damping`, `pair/object_table friction[0]`,
 //! `option/gravity tilt[1]`. Most attributes are entries of one array of `mjModel`; the rest are computed
 //! ([`Place`]): the mass takes the inertia along, the inertia keeps to what a body can have, contact stiffness is in
-//! N/m whatever the masses are.
+//! N/m whatever the masses are. Numbers of custom elements are addressed as `custom/name data[i]`.
 
 use super::{MjcfError, glob};
 use crate::mujoco::{Model, ObjectKind};
@@ -17,7 +17,7 @@ pub struct Attribute {
     pub name: &'static str,
     /// array of `mjModel`; empty for computed attributes
     pub array: &'static str,
-    /// numbers an element
+    /// numbers an element; 0: as many as the element has
     pub width: usize,
     /// whether it must not become negative
     pub positive: bool,
@@ -55,12 +55,14 @@ attributes! {
     "body" "inertia" "" 10 signed "1" 1e-1;
     "body" "pos" "body_pos" 3 signed "m" 1e-3;
     "body" "rotation" "" 3 signed "rad" 1e-2;
+    "body" "length" "" 1 positive "m" 1e-3;
     "geom" "friction" "geom_friction" 3 positive "1" 1e-1;
     "geom" "size" "geom_size" 3 positive "m" 1e-3;
     "geom" "pos" "geom_pos" 3 signed "m" 1e-3;
     "geom" "solref" "geom_solref" 2 signed "s, 1" 1e-3;
     "geom" "solimp" "geom_solimp" 5 positive "1" 1e-3;
     "pair" "friction" "pair_friction" 5 positive "1" 1e-1;
+    "pair" "slide" "" 1 positive "1" 1e-1;
     "pair" "solref" "pair_solref" 2 signed "s, 1" 1e-3;
     "pair" "solimp" "pair_solimp" 5 positive "1" 1e-3;
     "pair" "stiffness" "" 1 positive "N/m" 1e3;
@@ -71,6 +73,7 @@ attributes! {
     "actuator" "gear" "actuator_gear" 6 signed "1" 1e-1;
     "actuator" "gainprm" "actuator_gainprm" 10 signed "" 1e-1;
     "actuator" "biasprm" "actuator_biasprm" 10 signed "" 1e-1;
+    "actuator" "forcelimit" "" 1 positive "" 1e-1;
     "tendon" "stiffness" "tendon_stiffness" 1 positive "N/m" 1e-1;
     "tendon" "damping" "tendon_damping" 1 positive "N s/m" 1e-2;
     "tendon" "frictionloss" "tendon_frictionloss" 1 positive "N" 1e-2;
@@ -80,6 +83,7 @@ attributes! {
     "equality" "polycoef" "eq_data" 5 signed "" 1e-3;
     "option" "gravity" "" 3 signed "m/s^2" 1e-1;
     "option" "tilt" "" 2 signed "rad" 1e-2;
+    "custom" "data" "numeric_data" 0 signed "" 1e-3;
 }
 
 /// Where one scalar of a model lives.
@@ -108,6 +112,12 @@ pub enum Place {
     ContactStiffness(usize),
     /// damping of a contact pair, N s/m
     ContactDamping(usize),
+    /// sliding friction of a contact pair in both directions, which keep their ratio
+    Sliding(usize),
+    /// distance of a body's origin from its parent's; the direction stays
+    Length(usize),
+    /// force of an actuator, limited to this both ways
+    ForceLimit(usize),
 }
 
 /// One scalar of a model, with its address.
@@ -134,7 +144,7 @@ impl Target {
             component,
             ..
         } = self;
-        let component = if attribute.width > 1 {
+        let component = if attribute.width != 1 {
             format!("[{component}]")
         } else {
             String::new()
@@ -154,6 +164,7 @@ pub fn object_kind(kind: &str) -> Option<ObjectKind> {
         "actuator" => ObjectKind::Actuator,
         "tendon" => ObjectKind::Tendon,
         "equality" => ObjectKind::Equality,
+        "custom" => ObjectKind::Numeric,
         _ => return None,
     })
 }
@@ -181,22 +192,10 @@ pub fn resolve(
         .find(|a| a.kind == kind && a.name == attribute);
     let attribute = found.ok_or_else(|| refuse(unknown_attribute(kind)))?;
     for (i, &component) in components.iter().enumerate() {
-        if component >= attribute.width {
-            let width = attribute.width;
-            return Err(refuse(format!(
-                "there is no component {component}, it has {width}"
-            )));
-        }
         if components[..i].contains(&component) {
             return Err(refuse(format!("component {component} is listed twice")));
         }
     }
-    let all: Vec<usize> = (0..attribute.width).collect();
-    let components = if components.is_empty() {
-        &all
-    } else {
-        components
-    };
     let elements: Vec<(usize, String)> = match object_kind(kind) {
         None => vec![(0, "gravity".to_owned())],
         Some(object) => (0..model.count(object))
@@ -211,7 +210,21 @@ pub fn resolve(
         if let Some(reason) = without_effect(model, attribute, *id) {
             return Err(refuse(format!("{kind} `{name}` {reason}")));
         }
-        for &component in components {
+        let width = match attribute.width {
+            0 => model.numeric_size()[*id] as usize,
+            width => width,
+        };
+        let all: Vec<usize> = (0..width).collect();
+        for &component in if components.is_empty() {
+            &all
+        } else {
+            components
+        } {
+            if component >= width {
+                return Err(refuse(format!(
+                    "there is no component {component}, it has {width}"
+                )));
+            }
             let place = place(model, attribute, *id, component);
             targets.push(Target {
                 attribute,
@@ -239,7 +252,8 @@ fn unknown_attribute(kind: &str) -> String {
         .map(|a| a.name)
         .collect();
     if of_kind.is_empty() {
-        return "unknown kind, known are joint, body, geom, pair, site, actuator, tendon, equality, option".into();
+        return "unknown kind, known are joint, body, geom, pair, site, actuator, tendon, equality, option, custom"
+            .into();
     }
     format!(
         "a {kind} has no such parameter, it has: {}",
@@ -256,6 +270,14 @@ fn place(model: &Model, attribute: &Attribute, id: usize, component: usize) -> P
         ("option", "tilt") => Place::Tilt(component),
         ("pair", "stiffness") => Place::ContactStiffness(id),
         ("pair", "damping") => Place::ContactDamping(id),
+        ("pair", "slide") => Place::Sliding(id),
+        ("body", "length") => Place::Length(id),
+        ("actuator", "forcelimit") => Place::ForceLimit(id),
+        ("custom", _) => slots(
+            "numeric_data",
+            model.numeric_adr()[id] as usize + component,
+            1,
+        ),
         (_, "springref") => slots("qpos_spring", model.jnt_qposadr()[id] as usize, 1),
         _ => {
             let array = attribute.array;
@@ -295,8 +317,18 @@ fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<&'s
     let free = |body: usize| model.body_dofnum()[body] == 6 && model.body_jntnum()[body] == 1;
     let scalar = |joint: usize| dofs(model, joint).len() == 1;
     match (attribute.kind, attribute.name) {
-        ("body", "pos" | "rotation") if id == 0 => Some("is the world, which cannot be moved"),
-        ("body", "pos" | "rotation") if free(id) => Some("is free, its pose is part of the state"),
+        ("body", "pos" | "rotation" | "length") if id == 0 => {
+            Some("is the world, which cannot be moved")
+        }
+        ("body", "pos" | "rotation" | "length") if free(id) => {
+            Some("is free, its pose is part of the state")
+        }
+        ("body", "length") if norm(&model.body_pos()[3 * id..3 * id + 3]) == 0.0 => {
+            Some("is where its parent is")
+        }
+        ("actuator", "forcelimit") if model.actuator_forcelimited()[id] == 0 => {
+            Some("has no limited force")
+        }
         ("body", "mass" | "inertia") if model.body_mass()[id] <= 0.0 => Some("has no mass"),
         ("joint", "springref") if !scalar(id) => Some("is not a hinge or slide"),
         ("joint", "solreffriction" | "solimpfriction") if !scalar(id) => {
@@ -310,6 +342,11 @@ fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<&'s
         }
         _ => None,
     }
+}
+
+/// Length of a vector.
+pub(crate) fn norm(vector: &[f64]) -> f64 {
+    vector.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// Sum of the translational inverse weights of the bodies of a pair, 1/kg: what the engine scales contacts with.

@@ -2,7 +2,7 @@
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use super::attribute::{Place, Target, bounding_radius, pair_inverse_mass};
+use super::attribute::{Place, Target, bounding_radius, norm, pair_inverse_mass};
 use super::inertia::{BodyInertia, N_INERTIA};
 use crate::mujoco::{Model, ModelEdit};
 
@@ -32,6 +32,7 @@ const SURFACE: &[&str] = &[
     "qpos_spring",
     "actuator_gainprm",
     "actuator_biasprm",
+    "numeric_data",
 ];
 
 impl Target {
@@ -45,7 +46,7 @@ impl Target {
             } => model.body_parentid()[first / 3] != 0,
             Place::Slots { array, .. } => !SURFACE.contains(&array),
             Place::Mass(_) | Place::Inertia(..) => true,
-            Place::Rotation(body, _) => model.body_parentid()[body] != 0,
+            Place::Rotation(body, _) | Place::Length(body) => model.body_parentid()[body] != 0,
             _ => false,
         }
     }
@@ -69,6 +70,9 @@ impl Target {
             Place::Inertia(..) | Place::Rotation(..) | Place::Tilt(_) => 0.0,
             Place::ContactStiffness(pair) => contact(model, pair).0,
             Place::ContactDamping(pair) => contact(model, pair).1,
+            Place::Sliding(pair) => model.pair_friction()[5 * pair],
+            Place::Length(body) => norm(&model.body_pos()[3 * body..3 * body + 3]),
+            Place::ForceLimit(actuator) => model.actuator_forcerange()[2 * actuator + 1],
         }
     }
 }
@@ -111,6 +115,25 @@ pub fn write(edit: &mut ModelEdit<'_>, targets: &[(&Target, f64)], constants_don
             Place::Tilt(axis) => tilt.get_or_insert([0.0; 3])[axis] = value,
             Place::ContactStiffness(pair) => set_stiffness(edit, pair, value),
             Place::ContactDamping(pair) => set_damping(edit, pair, value),
+            Place::Sliding(pair) => {
+                let sliding = &mut edit.pair_friction()[5 * pair..5 * pair + 2];
+                let ratio = sliding[1] / sliding[0];
+                sliding[0] = value;
+                sliding[1] = if ratio.is_finite() {
+                    ratio * value
+                } else {
+                    value
+                };
+            }
+            Place::Length(body) => {
+                let pos = &mut edit.body_pos()[3 * body..3 * body + 3];
+                let factor = value / norm(pos);
+                pos.iter_mut().for_each(|x| *x *= factor);
+            }
+            Place::ForceLimit(actuator) => {
+                let range = &mut edit.actuator_forcerange()[2 * actuator..2 * actuator + 2];
+                range.copy_from_slice(&[-value, value]);
+            }
         }
     }
     for (body, theta) in theta {

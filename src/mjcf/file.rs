@@ -14,9 +14,9 @@ use super::edit::body_inertia;
 use crate::mujoco::Model;
 
 /// A replacement of a piece of the text.
-struct Splice {
-    range: Range<usize>,
-    text: String,
+pub(super) struct Splice {
+    pub(super) range: Range<usize>,
+    pub(super) text: String,
 }
 
 /// The text `xml` of a model with the values that `targets` have in `model`, and a comment at its top.
@@ -48,6 +48,9 @@ pub fn rewrite(
             "mass" | "ipos" | "inertia" => "inertia",
             "stiffness" | "damping" if target.attribute.kind == "pair" => "solref",
             "tilt" => "gravity",
+            "length" => "pos",
+            "slide" => "friction",
+            "forcelimit" => "forcerange",
             name => name,
         };
         let key = (target.attribute.kind, target.id, name);
@@ -60,10 +63,7 @@ pub fn rewrite(
             write_option(root, "gravity", &gravity, &mut splices);
             continue;
         }
-        let node = find(root, target).ok_or_else(|| MjcfError::NotInFile {
-            kind: target.attribute.kind,
-            element: target.element.clone(),
-        })?;
+        let node = find(root, target.attribute.kind, &target.element)?;
         let tag = node.tag_name().name();
         if matches!(name, "gainprm" | "biasprm") && tag != "general" {
             let (element, tag) = (target.element.clone(), tag.to_owned());
@@ -103,14 +103,19 @@ pub fn rewrite(
     Ok(apply(xml, splices))
 }
 
-/// The element of a target.
-fn find<'a, 'i>(root: Node<'a, 'i>, target: &Target) -> Option<Node<'a, 'i>> {
-    let (section, tags): (&str, &[&str]) = match target.attribute.kind {
+/// The element of a kind (as in an address) and name.
+pub(super) fn find<'a, 'i>(
+    root: Node<'a, 'i>,
+    kind: &'static str,
+    element: &str,
+) -> Result<Node<'a, 'i>, MjcfError> {
+    let (section, tags): (&str, &[&str]) = match kind {
         "joint" => ("worldbody", &["joint", "freejoint"]),
         "body" => ("worldbody", &["body"]),
         "geom" => ("worldbody", &["geom"]),
         "site" => ("worldbody", &["site"]),
         "pair" => ("contact", &["pair"]),
+        "custom" => ("custom", &["numeric"]),
         kind => (kind, &[]),
     };
     root.children()
@@ -118,7 +123,11 @@ fn find<'a, 'i>(root: Node<'a, 'i>, target: &Target) -> Option<Node<'a, 'i>> {
         .flat_map(|n| n.descendants().skip(1))
         .filter(Node::is_element)
         .filter(|n| tags.is_empty() || tags.contains(&n.tag_name().name()))
-        .find(|n| n.attribute("name") == Some(target.element.as_str()))
+        .find(|n| n.attribute("name") == Some(element))
+        .ok_or_else(|| MjcfError::NotInFile {
+            kind,
+            element: element.to_owned(),
+        })
 }
 
 /// The attribute's text: all its components as they are in `model`.
@@ -126,17 +135,22 @@ fn text_of(model: &Model, target: &Target, name: &str, root: Node<'_, '_>) -> St
     if let ("pair", "solref") = (target.attribute.kind, name) {
         return numbers(&model.pair_solref()[2 * target.id..2 * target.id + 2]);
     }
-    let Place::Slots { array, first, .. } = target.place else {
-        return String::new();
+    let (array, start, width) = match target.place {
+        Place::Slots { first, .. } if target.attribute.kind == "custom" => {
+            let width = model.numeric_size()[target.id] as usize;
+            ("numeric_data", first - target.component, width)
+        }
+        Place::Slots { array, first, .. } => {
+            let several = target.attribute.width > 1;
+            let start = first - if several { target.component } else { 0 };
+            (array, start, target.attribute.width)
+        }
+        Place::Sliding(pair) => ("pair_friction", 5 * pair, 5),
+        Place::Length(body) => ("body_pos", 3 * body, 3),
+        Place::ForceLimit(actuator) => ("actuator_forcerange", 2 * actuator, 2),
+        _ => return String::new(),
     };
-    let values = model.numeric_field(array).unwrap_or_default();
-    let start = first
-        - if target.attribute.width > 1 {
-            target.component
-        } else {
-            0
-        };
-    let values = &values[start..start + target.attribute.width];
+    let values = &model.numeric_field(array).unwrap_or_default()[start..start + width];
     // hinge angles are in degrees in the file unless it says otherwise
     let hinge = target.attribute.kind == "joint" && model.jnt_type()[target.id] == 3;
     if name == "springref" && hinge && in_degrees(root) {
@@ -210,14 +224,14 @@ fn write_inertia(
     }
 }
 
-fn indent_before(xml: &str, at: usize) -> &str {
+pub(super) fn indent_before(xml: &str, at: usize) -> &str {
     let line = xml[..at].rfind('\n').map_or(0, |n| n + 1);
     let indent = &xml[line..at];
     if indent.trim().is_empty() { indent } else { "" }
 }
 
 /// Writes an attribute of `option`, making that element if there is none.
-fn write_option(root: Node<'_, '_>, name: &str, value: &str, splices: &mut Vec<Splice>) {
+pub(super) fn write_option(root: Node<'_, '_>, name: &str, value: &str, splices: &mut Vec<Splice>) {
     let options: Vec<_> = root
         .children()
         .filter(|n| n.has_tag_name("option"))
@@ -244,7 +258,7 @@ fn write_option(root: Node<'_, '_>, name: &str, value: &str, splices: &mut Vec<S
 }
 
 /// Sets attributes of an element and removes `others`.
-fn set(
+pub(super) fn set(
     xml: &str,
     node: Node<'_, '_>,
     attributes: &[(&str, String)],
@@ -287,7 +301,7 @@ fn set(
     }
 }
 
-fn apply(xml: &str, mut splices: Vec<Splice>) -> String {
+pub(super) fn apply(xml: &str, mut splices: Vec<Splice>) -> String {
     splices.sort_by_key(|s| (s.range.start, s.range.end));
     let mut out = String::with_capacity(xml.len() + 200);
     let mut at = 0;
@@ -301,7 +315,7 @@ fn apply(xml: &str, mut splices: Vec<Splice>) -> String {
 }
 
 /// The shortest text that reads back to the same double.
-fn number(value: f64) -> String {
+pub(super) fn number(value: f64) -> String {
     let plain = format!("{value}");
     let scientific = format!("{value:e}");
     if scientific.len() < plain.len() {
@@ -311,7 +325,7 @@ fn number(value: f64) -> String {
     }
 }
 
-fn numbers(values: &[f64]) -> String {
+pub(super) fn numbers(values: &[f64]) -> String {
     values
         .iter()
         .map(|&v| number(v))

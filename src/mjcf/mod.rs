@@ -5,13 +5,15 @@
 //! ```
 //!
 //! [`attribute::resolve`] finds what an address means, [`edit::write`] puts values into a compiled model, and
-//! [`file::rewrite`] into the text of the model file, of which nothing but those attributes changes.
+//! [`file::rewrite`] into the text of the model file, of which nothing but those attributes changes. Elements and flags
+//! are added to the text by [`structure::change`].
 
 pub mod attribute;
 pub mod edit;
 pub mod file;
 pub mod glob;
 pub mod inertia;
+pub mod structure;
 
 use thiserror::Error;
 

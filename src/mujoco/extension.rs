@@ -69,10 +69,11 @@ pub(super) struct Extended {
     extension: Arc<dyn Extension>,
     memory: Vec<f64>,
     next: Vec<f64>,
-    commands: Vec<f64>, // (nu) as given by the caller, while ctrl holds what actuators get
-    effective: Vec<f64>, // (nu)
+    kept: Vec<f64>,        // room for another `next`
+    commands: Vec<f64>,    // (nu) as given by the caller, while ctrl holds what actuators get
+    effective: Vec<f64>,   // (nu)
     own_passive: Vec<f64>, // (nv) the engine's
-    own_xfrc: Vec<f64>, // (nbody × 6) the caller's
+    own_xfrc: Vec<f64>,    // (nbody × 6) the caller's
     forces: Forces,
     readings: Vec<f64>, // (nsensordata)
 }
@@ -91,6 +92,7 @@ impl Extended {
         Some(Box::new(Self {
             extension,
             next: memory.clone(),
+            kept: memory.clone(),
             memory,
             commands: vec![0.0; model.nu()],
             effective: vec![0.0; model.nu()],
@@ -262,7 +264,10 @@ impl Data {
     /// Forces of the actuators from the controls they get, not from the commands in ctrl.
     pub(super) fn extended_actuation(&mut self) -> Result<()> {
         self.with_extension(|data, x| {
+            // what the last evaluation would remember stays
+            std::mem::swap(&mut x.next, &mut x.kept);
             let result = x.actuate(data);
+            std::mem::swap(&mut x.next, &mut x.kept);
             data.ctrl_mut().copy_from_slice(&x.commands);
             result
         })

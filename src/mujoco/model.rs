@@ -76,7 +76,7 @@ impl Model {
     /// As [`Model::from_xml_str`], and [`MujocoError::File`] for a path that holds a NUL.
     pub fn from_xml_text(xml: &str, path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        // the engine looks given text up by the file's name, in which it allows 99 characters; ours is short
+        // the engine allows 99 characters for the name of a given text, and finds files beside it by its folder
         let name = path.with_file_name("text.phantom.xml");
         let name = CString::new(name.as_os_str().as_bytes()).map_err(|_| MujocoError::File {
             file: path.into(),
@@ -104,7 +104,7 @@ impl Model {
         // SAFETY: valid for writes of an mjVFS, which this call initialises.
         unsafe { ffi::mj_defaultVFS(vfs) };
         // SAFETY: `vfs` is initialised, the name ends in NUL.
-        let status = unsafe { ffi::mj_makeEmptyFileVFS(vfs, STRING_NAME.as_ptr(), size) };
+        let status = unsafe { ffi::mj_makeEmptyFileVFS(vfs, name.as_ptr(), size) };
         let model = if status == 0 {
             // SAFETY: `vfs` is initialised; entry 0 is the file just made.
             let content = unsafe { (*vfs).filedata[0] };

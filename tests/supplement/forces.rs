@@ -22,8 +22,8 @@ fn laws_of_position_and_velocity() {
                 0.0
             }
         }),
-        ("joint_stop", "3 -0.05 -1 0", |q, _| {
-            if q < -0.05 { 3.0 * (-0.05 - q) } else { 0.0 }
+        ("joint_stop", "3 0.1 -1 0", |q, _| {
+            if q < 0.1 { 3.0 * (0.1 - q) } else { 0.0 }
         }),
     ];
     let plain = run(&mut rotor("", ""), N);

@@ -37,15 +37,17 @@ fn text_and_compiled_model_agree() {
     let mut targets = Vec::new();
     for attribute in ATTRIBUTES {
         let element = match attribute.kind {
+            "body" if attribute.name == "length" => "body/p0_tip",
             "body" => "body/p0_upper",
             "joint" => "joint/p0_upper",
             "geom" => "geom/object",
             "site" => "site/p0_tip",
             "pair" => "pair/p1_object",
             "option" => "option/gravity",
+            "custom" => "custom/start_low",
             _ => &format!("{}/p*", attribute.kind),
         };
-        if matches!(attribute.name, "gainprm" | "biasprm") {
+        if matches!(attribute.name, "gainprm" | "biasprm" | "forcelimit") {
             continue; // a motor has none
         }
         if let Ok(found) = resolve(&model, element, attribute.name, &[]) {
