@@ -14,6 +14,7 @@ use crate::report::ReportError;
 use crate::rig::RigError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
+use crate::supplement::SupplementError;
 use crate::task::TaskError;
 use crate::train::TrainError;
 use crate::train::config::SettingError;
@@ -73,6 +74,14 @@ pub enum CliError {
     /// The engine failed.
     #[error(transparent)]
     Mujoco(#[from] MujocoError),
+    /// A custom element of a model cannot be used.
+    #[error("{}: {source}", file.display())]
+    Supplement {
+        /// the model file
+        file: PathBuf,
+        /// what is wrong
+        source: SupplementError,
+    },
     /// The model does not fit the task.
     #[error(transparent)]
     Task(#[from] TaskError),

@@ -18,6 +18,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::mujoco::Model;
+use crate::supplement::{self, SupplementError};
 pub use error::CliError;
 
 /// Model used when none is named, relative to the working directory or to the checkout.
@@ -83,8 +84,15 @@ fn model_path(named: Option<&Path>) -> PathBuf {
     }
 }
 
+/// A model with its supplements.
 fn load_model(path: &Path) -> Result<Model, CliError> {
-    Ok(Model::from_xml_path(path)?)
+    supplement::load(path).map_err(|error| match error {
+        SupplementError::Mujoco(engine) => engine.into(),
+        source => CliError::Supplement {
+            file: path.to_owned(),
+            source,
+        },
+    })
 }
 
 /// A configuration file; mistakes are named with their line.

@@ -118,6 +118,7 @@ fn row(
 ) -> Result<Row, CompareError> {
     let (nq, nv, nu) = (data.model().nq(), data.model().nv(), data.model().nu());
     let qpos = &states.qpos[k * nq..(k + 1) * nq];
+    data.set_memory(states.memory(k))?;
     data.set_time(states.time_s[k]);
     data.qpos_mut().copy_from_slice(qpos);
     data.qvel_mut()

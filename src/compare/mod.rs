@@ -19,6 +19,7 @@ mod closure;
 mod error;
 pub mod figures;
 pub mod forces;
+mod memory;
 pub mod policy;
 pub mod rollouts;
 pub mod settings;

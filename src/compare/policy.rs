@@ -99,6 +99,7 @@ pub(super) fn simulated_tracking(
     follower: &Follower<'_>,
 ) -> Result<Tracking, CompareError> {
     let mut data = Data::new(Arc::clone(model))?;
+    data.set_memory(states.memory(0))?;
     data.set_time(states.time_s[0]);
     data.qpos_mut().copy_from_slice(&states.qpos[..model.nq()]);
     data.qvel_mut().copy_from_slice(&states.qvel[..model.nv()]);

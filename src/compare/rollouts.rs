@@ -170,6 +170,7 @@ fn from(
     let begin = states.time_s[start.sample];
     let row = start.sample * nq..(start.sample + 1) * nq;
     data.reset();
+    data.set_memory(states.memory(start.sample))?;
     data.set_time(begin);
     data.qpos_mut().copy_from_slice(&states.qpos[row]);
     data.qvel_mut().copy_from_slice(&start.qvel);

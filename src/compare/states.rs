@@ -2,13 +2,15 @@
 //!
 //! The samples are those of the stream with most positions; other streams are interpolated to them, controls are held.
 //! With a low-pass, samples at uneven intervals are first interpolated to even ones. Velocities that are not recorded
-//! follow by central differences, passive joints from the loops they close.
+//! follow by central differences, passive joints from the loops they close. Where the model says that encoders show
+//! something else than its joints, states are those of the joints.
 
 use crate::mujoco::{Measures, Model, ObjectKind};
 use crate::recording::{Bound, BoundChannel, Recording};
 
 use super::butterworth::low_pass;
 use super::closure::Closure;
+use super::memory::Memory;
 use super::settings::Derivative;
 use super::{CompareError, Settings};
 
@@ -59,8 +61,13 @@ pub struct States {
     /// first of three coordinates in `qpos` of the free body that is recorded
     pub free_body: Option<usize>,
     /// controls as recorded: times in s and values, one list an actuator
-    pub(super) controls: Vec<(Vec<f64>, Vec<f64>)>,
+    controls: Vec<Control>,
+    /// (n × memory) what the model's supplement remembers
+    memory: Vec<f64>,
 }
+
+/// Times in s and values.
+type Control = (Vec<f64>, Vec<f64>);
 
 /// Samples of one channel, without gaps.
 struct Samples {
@@ -161,11 +168,33 @@ impl States {
         let measured_qpos: Vec<usize> = sources.qpos.iter().map(|(a, _)| *a).collect();
         let unknown = check_positions(model, &measured_qpos, &closure.passive, &name)?;
 
+        let mut memory = Memory::new(model)?;
+        let encoded = |stream: &BoundChannel, scalar: bool| {
+            let mut samples = Samples::of(recording, stream);
+            if scalar && memory.delay_s > 0.0 {
+                samples.time_s.iter_mut().for_each(|t| *t -= memory.delay_s);
+            }
+            samples
+        };
         let positions: Vec<Samples> = sources
             .qpos
             .iter()
-            .map(|(_, b)| Samples::of(recording, b))
+            .map(|(address, b)| encoded(b, is_scalar(model, model.jnt_qposadr(), *address)))
             .collect();
+        let velocities: Vec<(usize, Samples)> = sources
+            .qvel
+            .iter()
+            .map(|(dof, b)| (*dof, encoded(b, is_scalar(model, model.jnt_dofadr(), *dof))))
+            .collect();
+        let controls: Vec<Control> = bound
+            .controls
+            .iter()
+            .map(|b| {
+                let samples = Samples::of(recording, b);
+                (samples.time_s, samples.values)
+            })
+            .collect();
+        let held = |time: f64, ctrl: &mut [f64]| controls_at(&controls, time, ctrl);
         let mut time_s = common_times(&positions);
         if time_s.len() < MIN_SAMPLES {
             return Err(CompareError::TooShort {
@@ -185,6 +214,9 @@ impl States {
             low_pass(&mut qpos, model.nq(), cutoff * interval);
         }
         normalise(&mut qpos, model.nq(), &quaternions);
+        let shown = differences(model, &time_s, &qpos)?;
+        let rows = memory.follow(&time_s, &qpos, &shown, &held)?;
+        memory.decode(&rows, &mut qpos, &measured_qpos)?;
         for (row, time) in qpos.chunks_exact_mut(model.nq()).zip(&time_s) {
             if unknown.is_empty() {
                 break;
@@ -202,17 +234,19 @@ impl States {
         let recorded_velocities = if settings.differences {
             &[]
         } else {
-            sources.qvel.as_slice()
+            velocities.as_slice()
         };
         let mut qvel = differences(model, &time_s, &qpos)?;
         for (dof, channel) in recorded_velocities {
-            let mut values = Samples::of(recording, channel).all_at(&time_s);
+            let mut values = channel.all_at(&time_s);
             if let Some(cutoff) = settings.cutoff_hz {
                 low_pass(&mut values, 1, cutoff * interval);
             }
-            for (row, value) in qvel.chunks_exact_mut(model.nv()).zip(values) {
+            for (k, value) in values.into_iter().enumerate() {
                 // a sample before the first of this channel keeps its difference
-                row[*dof] = if value.is_finite() { value } else { row[*dof] };
+                if value.is_finite() {
+                    qvel[k * model.nv() + dof] = memory.velocity(&rows, k, *dof, value)?;
+                }
             }
         }
         let whole = recorded_velocities.len() + unknown.len() >= model.nv();
@@ -237,14 +271,7 @@ impl States {
         };
         let qacc = accelerations(model.nv(), &time_s, &qvel, step_derivative);
 
-        let controls: Vec<(Vec<f64>, Vec<f64>)> = bound
-            .controls
-            .iter()
-            .map(|b| {
-                let samples = Samples::of(recording, b);
-                (samples.time_s, samples.values)
-            })
-            .collect();
+        let remembered = memory.follow(&time_s, &qpos, &qvel, &held)?;
         let sensors = sources
             .sensors
             .iter()
@@ -269,6 +296,7 @@ impl States {
             passive: closure.passive,
             step_derivative,
             controls,
+            memory: remembered,
         };
         for k in 0..states.len() {
             let row = k * model.nu()..(k + 1) * model.nu();
@@ -297,13 +325,29 @@ impl States {
 
     /// The controls in force at a time: the last ones given, 0 before the first.
     pub(super) fn controls_at(&self, time: f64, ctrl: &mut [f64]) {
-        // half a nanosecond: stamps are whole ones
-        let time = time + 0.5e-9;
-        for ((times, values), out) in self.controls.iter().zip(ctrl) {
-            let given = times.partition_point(|t| *t <= time);
-            *out = given.checked_sub(1).map_or(0.0, |i| values[i]);
-        }
+        controls_at(&self.controls, time, ctrl);
     }
+
+    /// What the model's supplement remembers at sample `k`.
+    pub(super) fn memory(&self, k: usize) -> &[f64] {
+        let n = self.memory.len() / self.len();
+        &self.memory[k * n..(k + 1) * n]
+    }
+}
+
+fn controls_at(controls: &[Control], time: f64, ctrl: &mut [f64]) {
+    // half a nanosecond: stamps are whole ones
+    let time = time + 0.5e-9;
+    for ((times, values), out) in controls.iter().zip(ctrl) {
+        let given = times.partition_point(|t| *t <= time);
+        *out = given.checked_sub(1).map_or(0.0, |i| values[i]);
+    }
+}
+
+/// Whether the joint with this first address is a hinge or slide.
+fn is_scalar(model: &Model, addresses: &[i32], address: usize) -> bool {
+    let joint = addresses.iter().position(|a| *a as usize == address);
+    joint.is_some_and(|joint| model.is_slide(joint).is_some())
 }
 
 /// How messages call a recording.

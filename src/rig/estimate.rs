@@ -55,6 +55,7 @@ impl Estimate {
         data.position_stage()?;
         let reduction = reduction(&data, axes);
         let n = axes.len();
+        let position: Vec<f64> = axes.iter().map(|a| data.encoder(a.joint)[0]).collect();
         let mut estimate = Self {
             axes: axes.to_vec(),
             reduction,
@@ -66,7 +67,6 @@ impl Estimate {
             bias: DVector::zeros(n),
             data,
         };
-        let position: Vec<f64> = axes.iter().map(|axis| qpos[axis.qpos]).collect();
         estimate.update(&position, &vec![0.0; n], None)?;
         Ok(estimate)
     }
@@ -81,13 +81,16 @@ impl Estimate {
         velocity: &[f64],
         object: Option<[f64; 3]>,
     ) -> Result<(), MujocoError> {
-        self.position.copy_from_slice(position);
-        self.velocity.copy_from_slice(velocity);
+        for (k, axis) in self.axes.iter().enumerate() {
+            // what the model knows of its encoders is undone
+            let reading = [position[k], velocity[k]];
+            [self.position[k], self.velocity[k]] = self.data.decode(axis.joint, reading);
+        }
         let moved = DVector::from_iterator(
             self.axes.len(),
             self.axes
                 .iter()
-                .zip(position)
+                .zip(&self.position)
                 .map(|(axis, q)| q - self.start[axis.qpos]),
         );
         let moved = &self.reduction * moved;

@@ -119,7 +119,7 @@ impl PushTask {
                 model.jnt_qposadr()[id] as usize,
                 model.jnt_dofadr()[id] as usize,
             );
-            if qpos != index || dof != index {
+            if qpos != index || dof != index || id != index {
                 return fail(format!(
                     "joint `{name}` is at qpos[{qpos}], qvel[{dof}], expected {index} in both"
                 ));
@@ -296,8 +296,10 @@ impl Task for PushTask {
     }
 
     fn observe(&self, data: &Data, observation: &mut [f64]) {
-        observation[..N_JOINT].copy_from_slice(&data.qpos()[..N_JOINT]);
-        observation[N_JOINT..2 * N_JOINT].copy_from_slice(&data.qvel()[..N_JOINT]);
+        // as on the machine, joints are seen through their encoders; joint numbers are addresses, see `new`
+        for joint in 0..N_JOINT {
+            [observation[joint], observation[N_JOINT + joint]] = data.encoder(joint);
+        }
         observation[2 * N_JOINT..2 * N_JOINT + 3].copy_from_slice(self.object(data));
         observation[2 * N_JOINT + 3..].copy_from_slice(self.goal(data));
     }

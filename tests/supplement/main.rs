@@ -6,6 +6,7 @@ mod common;
 mod forces;
 mod machine;
 mod parse;
+mod program;
 mod readings;
 mod step;
 mod transmission;

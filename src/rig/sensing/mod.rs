@@ -297,9 +297,9 @@ impl Sensors {
         for (k, (axis, encoder)) in axes.iter().zip(&mut self.encoders).enumerate() {
             // the encoder sits on the motor
             let motor = transmissions.iter().find(|t| t.dof == axis.dof);
-            let (angle, speed) = motor.map_or_else(
-                || (data.qpos()[axis.qpos], data.qvel()[axis.dof]),
-                |motor| (motor.angle, motor.speed),
+            let [angle, speed] = motor.map_or_else(
+                || data.encoder(axis.joint),
+                |motor| [motor.angle, motor.speed],
             );
             (position[k], velocity[k]) = encoder.read(angle, speed);
         }
