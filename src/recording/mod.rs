@@ -80,7 +80,7 @@ pub struct Stream {
 /// What is known of a recording as a whole.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Meta {
-    /// hash of the model file the machine is described by, if known
+    /// [`crate::mujoco::Model::fingerprint`] of the model that describes the machine, if known
     #[serde(default)]
     pub model_hash: String,
     /// start, nanoseconds since 1970; 0: unknown
