@@ -14,7 +14,6 @@
 
 mod resolve;
 
-
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
