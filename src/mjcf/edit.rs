@@ -8,7 +8,7 @@ use crate::mujoco::{Model, ModelEdit};
 
 /// Arrays no derived constant depends on. Nor does one on `body_pos` of a body fixed to the world: moving a whole
 /// mechanism changes no inertia.
-const SURFACE: &[&str] = &[
+pub(crate) const SURFACE: &[&str] = &[
     "geom_friction",
     "geom_solref",
     "geom_solimp",
@@ -194,8 +194,8 @@ pub fn body_inertia(model: &Model, body: usize) -> BodyInertia {
 /// Stiffness (N/m) and damping (N s/m) of a contact pair that is fully engaged (impedance d = dmax).
 ///
 /// At rest the engine's contact force is k d² r / ((1 − d) w) with r the penetration, w the sum of inverse weights and,
-/// in acceleration units, k = 1/(dmax² T² ζ²) or −solref[0]/dmax²; likewise b d/((1 − d) w) per velocity with
-/// b = 2/(dmax T) or −solref[1]/dmax.
+/// in acceleration units, k = 1/(dmax² T² ζ²) or `−solref[0]`/dmax²; likewise b d/((1 − d) w) per velocity with
+/// b = 2/(dmax T) or `−solref[1]`/dmax.
 pub fn contact(model: &Model, pair: usize) -> (f64, f64) {
     let (dmax, scale) = engagement(model, pair);
     let (a, b) = (

@@ -22,6 +22,7 @@ mod dynamics;
 mod edit;
 mod error;
 mod extension;
+mod fingerprint;
 mod guard;
 mod kinds;
 mod measures;

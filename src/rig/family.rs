@@ -6,8 +6,8 @@ use super::RigError;
 use super::axes::Axis;
 use super::config::setting;
 use super::effects::{CATALOGUE, Effect, EffectConfig, Entry, Place, candidates, kind};
-use crate::mujoco::Model;
 use crate::mjcf::glob;
+use crate::mujoco::Model;
 use crate::rng::{self, Stream};
 
 /// How to draw.

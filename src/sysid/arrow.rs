@@ -25,14 +25,14 @@
 pub(super) struct Arrow {
     nv: usize,
     np: usize,
-    width: usize,      // 3 nv + np + 1: window, parameters, right-hand side
-    carry: Vec<f64>,   // (2 nv × width) triangular in its first 2 nv columns
-    front: Vec<f64>,   // rows of the current window
-    n_rows: usize,     // in `front`
-    kept: Vec<f64>,    // per knot nv × width
+    width: usize,              // 3 nv + np + 1: window, parameters, right-hand side
+    carry: Vec<f64>,           // (2 nv × width) triangular in its first 2 nv columns
+    front: Vec<f64>,           // rows of the current window
+    n_rows: usize,             // in `front`
+    kept: Vec<f64>,            // per knot nv × width
     pub innovations: Vec<f64>, // rows of np + 1
     pub innovation_knots: Vec<usize>, // knot of each
-    weakest: f64,      // least ratio of a diagonal entry to its column
+    weakest: f64,              // least ratio of a diagonal entry to its column
     weakest_at: (usize, usize),
     scratch: Vec<f64>,
 }
@@ -108,7 +108,11 @@ impl Arrow {
         // shift: (q, q₊) become the first two blocks
         let state = 3 * nv;
         for i in 0..2 * nv {
-            let (from_carry, at) = if i < nv { (true, nv + i) } else { (false, i - nv) };
+            let (from_carry, at) = if i < nv {
+                (true, nv + i)
+            } else {
+                (false, i - nv)
+            };
             for c in 0..width {
                 let value = {
                     let source = if from_carry { &self.carry } else { &self.front };
@@ -119,7 +123,11 @@ impl Arrow {
                     } else {
                         c
                     };
-                    if column == usize::MAX { 0.0 } else { source[at * width + column] }
+                    if column == usize::MAX {
+                        0.0
+                    } else {
+                        source[at * width + column]
+                    }
                 };
                 self.carry[i * width + c] = value;
             }
@@ -163,10 +171,11 @@ impl Arrow {
         q
     }
 
-    /// Σ log |R_ii| over the trajectory.
+    /// Sum of the logarithms of the diagonal over the trajectory.
     pub(super) fn log_diagonal(&self) -> f64 {
         let rows = self.kept.chunks_exact(self.width).enumerate();
-        rows.map(|(i, row)| row[i % self.nv].abs().max(f64::MIN_POSITIVE).ln()).sum()
+        rows.map(|(i, row)| row[i % self.nv].abs().max(f64::MIN_POSITIVE).ln())
+            .sum()
     }
 
     /// Least ratio of a diagonal entry to its row, with its knot and degree of freedom: 0 is unobservable.
@@ -202,7 +211,9 @@ fn reflect(pivot: &mut [f64], rows: &mut [f64], width: usize, j: usize, w: &mut 
             }
         }
     }
-    w.iter_mut().for_each(|w| *w *= beta);
+    for w in w.iter_mut() {
+        *w *= beta;
+    }
     pivot[j] = alpha;
     for (p, w) in pivot[j + 1..].iter_mut().zip(&*w) {
         *p -= v0 * w;
@@ -265,17 +276,27 @@ mod tests {
         let a = DMatrix::from_fn(rows.len(), nv * n + np, |i, j| rows[i][j]);
         let b = DVector::from_vec(right);
         let expected = a.clone().svd(true, true).solve(&b, 1e-12).expect("solved");
-        let left = DMatrix::from_row_slice(arrow.innovation_knots.len(), np + 1, &arrow.innovations);
+        let left =
+            DMatrix::from_row_slice(arrow.innovation_knots.len(), np + 1, &arrow.innovations);
         let p = left.columns(0, np).into_owned();
-        let x = p.clone().svd(true, true).solve(&left.column(np).into_owned(), 1e-12).expect("solved");
+        let x = p
+            .clone()
+            .svd(true, true)
+            .solve(&left.column(np).into_owned(), 1e-12)
+            .expect("solved");
         assert!((&x - expected.rows(nv * n, np)).amax() < 1e-12);
         let q = DVector::from_vec(arrow.back_substitute(x.as_slice()));
         assert!((q - expected.rows(0, nv * n)).amax() < 1e-11);
         // the innovations hold the Schur complement
         let normal = a.transpose() * &a;
         let m = nv * n;
-        let inverse = normal.view((0, 0), (m, m)).into_owned().try_inverse().expect("regular");
-        let schur = normal.view((m, m), (np, np)) - normal.view((m, 0), (np, m)) * inverse * normal.view((0, m), (m, np));
+        let inverse = normal
+            .view((0, 0), (m, m))
+            .into_owned()
+            .try_inverse()
+            .expect("regular");
+        let schur = normal.view((m, m), (np, np))
+            - normal.view((m, 0), (np, m)) * inverse * normal.view((0, m), (m, np));
         assert!((p.transpose() * p - schur).amax() < 1e-11);
     }
 }

@@ -16,10 +16,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::SysidError;
 use super::inverse::{Changed, Inverse};
 use super::manifold::{rotations, times_jacobian};
 use super::problem::{Problem, Trial};
-use super::SysidError;
 
 /// Change of a position in a finite difference, rad or m.
 const STEP_POSITION: f64 = 1e-7;
@@ -95,23 +95,20 @@ impl Point<'_> {
         model.differentiate_pos(&mut out.before, h, self.knot(a), self.knot(b))?;
         let (a, b) = (k.min(last - 1), (k + 1).min(last));
         model.differentiate_pos(&mut out.after, h, self.knot(a), self.knot(b))?;
-        for ((a, b), v) in (out.acceleration.iter_mut()).zip(&out.after).zip(&out.before) {
+        for ((a, b), v) in (out.acceleration.iter_mut())
+            .zip(&out.after)
+            .zip(&out.before)
+        {
             *a = (b - v) / h;
         }
         Ok(())
-    }
-
-    fn chunks(&self, range: Range<usize>) -> Vec<Range<usize>> {
-        let size = range.len().div_ceil(4 * rayon::current_num_threads()).max(16);
-        range.clone().step_by(size).map(|a| a..(a + size).min(range.end)).collect()
     }
 
     /// Values along the whole trajectory.
     pub(super) fn evaluate(&self) -> Result<Evaluated, SysidError> {
         let (nv, n_channels) = (self.problem.model.nv(), self.problem.channels.len());
         let controls = self.problem.controls(self.trial, self.x);
-        let parts: Vec<Result<Evaluated, SysidError>> = self
-            .chunks(0..self.trial.n_knots)
+        let parts: Vec<Result<Evaluated, SysidError>> = chunks(0..self.trial.n_knots)
             .into_par_iter()
             .map(|range| {
                 let mut inverse = self.inverse()?;
@@ -178,13 +175,15 @@ impl Point<'_> {
         let rows_per_knot = nv + self.problem.channels.len();
         let width = 3 * nv + np + 1;
         let controls = self.problem.controls(self.trial, self.x);
-        let parts: Vec<Result<Vec<f64>, SysidError>> = self
-            .chunks(range.clone())
+        let parts: Vec<Result<Vec<f64>, SysidError>> = chunks(range.clone())
             .into_par_iter()
             .map(|part| {
                 let mut inverse = self.inverse()?;
                 let mut rows = vec![0.0; part.len() * rows_per_knot * width];
-                for (k, rows) in part.clone().zip(rows.chunks_exact_mut(rows_per_knot * width)) {
+                for (k, rows) in part
+                    .clone()
+                    .zip(rows.chunks_exact_mut(rows_per_knot * width))
+                {
                     self.trajectory_columns(&mut inverse, &controls, k, rows, width)?;
                 }
                 self.parameter_columns(&mut inverse, part, &mut rows, width)?;
@@ -195,7 +194,12 @@ impl Point<'_> {
         for part in parts {
             rows.extend_from_slice(&part?);
         }
-        Ok(Blocks { first: range.start, rows_per_knot, width, rows })
+        Ok(Blocks {
+            first: range.start,
+            rows_per_knot,
+            width,
+            rows,
+        })
     }
 
     fn trajectory_columns(
@@ -258,7 +262,11 @@ impl Point<'_> {
             base[..nv].fill(0.0);
         }
         let turning = rotations(model);
-        let through_v: Vec<f64> = by_v.iter().zip(&by_a).map(|(v, a)| (v - a / h) / h).collect();
+        let through_v: Vec<f64> = by_v
+            .iter()
+            .zip(&by_a)
+            .map(|(v, a)| (v - a / h) / h)
+            .collect();
         let through_a: Vec<f64> = by_a.iter().map(|a| a / (h * h)).collect();
         let times = |a: &[f64], qvel: &[f64], h: f64| {
             let mut a = a.to_vec();
@@ -322,6 +330,23 @@ impl Point<'_> {
 
 impl Kinematics {
     fn new(nv: usize) -> Self {
-        Self { before: vec![0.0; nv], after: vec![0.0; nv], acceleration: vec![0.0; nv] }
+        Self {
+            before: vec![0.0; nv],
+            after: vec![0.0; nv],
+            acceleration: vec![0.0; nv],
+        }
     }
+}
+
+/// Parts of a range of knots for the threads. Results do not depend on how it is cut.
+fn chunks(range: Range<usize>) -> Vec<Range<usize>> {
+    let size = range
+        .len()
+        .div_ceil(4 * rayon::current_num_threads())
+        .max(16);
+    range
+        .clone()
+        .step_by(size)
+        .map(|a| a..(a + size).min(range.end))
+        .collect()
 }

@@ -72,7 +72,8 @@ pub(super) fn times_jacobian(
 mod tests {
     use super::*;
 
-    const FREE: &str = r#"<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>"#;
+    const FREE: &str =
+        r#"<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>"#;
 
     #[test]
     fn agrees_with_finite_differences_of_the_engine() {
@@ -84,7 +85,9 @@ mod tests {
         model.integrate_pos(&mut after, &qvel, h).expect("lengths");
         let eps = 1e-6;
         for (moved, sign) in [(true, 1.0), (false, -1.0)] {
-            let mut expected: Vec<f64> = (0..36).map(|i| if i % 7 == 0 { sign / h } else { 0.0 }).collect();
+            let mut expected: Vec<f64> = (0..36)
+                .map(|i| if i % 7 == 0 { sign / h } else { 0.0 })
+                .collect();
             times_jacobian(&mut expected, 6, &rotations(&model), &qvel, sign * h);
             for j in 0..6 {
                 let [plus, minus] = [eps, -eps].map(|eps| {
@@ -99,7 +102,10 @@ mod tests {
                 });
                 for i in 0..6 {
                     let slope = (plus[i] - minus[i]) / (2.0 * eps);
-                    assert!((slope - expected[6 * i + j]).abs() < 1e-6, "{i} {j} {slope}");
+                    assert!(
+                        (slope - expected[6 * i + j]).abs() < 1e-6,
+                        "{i} {j} {slope}"
+                    );
                 }
             }
         }

@@ -1,9 +1,9 @@
 //! Joint identification of model parameters and estimation of the motion, through contact.
 //!
-//! Over parameters P of the model and its sensors, and the whole trajectory Q = (q₀ … q_T) of every recording,
+//! Over parameters P of the model and its sensors, and the whole trajectory Q = (q₀ … qₜ) of every recording,
 //!
 //! ```text
-//! min  Σ ρ((τ̂ₖ − uₖ)/σ_τ)  +  Σ ρ((ŝₖ − sₖ)/σ_s)  +  Σ ((x − x_prior)/σ_x)²/2
+//! min  Σ ρ((τ̂ₖ − uₖ)/σ)  +  Σ ρ((ŝₖ − sₖ)/σₛ)  +  Σ ((x − x̄)/σₓ)²/2
 //! P,Q
 //! ```
 //!
@@ -14,21 +14,37 @@
 //! | symbol | name |
 //! | --- | --- |
 //! | h, q, v, a, τ̂ − u | timestep, qpos, qvel, acceleration, `residual`: [`inverse`] |
-//! | P, x, σ_x | [`parameter`]: value, its number in the estimator, `prior_sigma` |
-//! | s, σ_s, σ_τ | [`problem`]: samples, `Channel::sigma`, `force_sigma` |
+//! | P, x, σₓ | [`parameter`]: value, its number in the estimator, `prior_sigma` |
+//! | s, σₛ, σ | [`problem`]: samples, `Channel::sigma`, `force_sigma` |
 //! | ρ | [`norm`] |
 //!
 //! Reference: Kolev and Todorov 2015, "Physically consistent state estimation and system identification for contacts".
 
 mod arrow;
+mod box_qp;
+pub mod ensemble;
+pub mod figures;
+pub mod fit;
+pub mod holdout;
+mod instrument;
+pub mod interval;
 pub mod inverse;
 pub mod joint;
+pub mod leave_out;
 mod linearise;
+mod long_run;
 mod manifold;
+mod newton;
 pub mod norm;
 pub mod parameter;
+pub mod predict;
 pub mod problem;
+mod rows;
+mod separate;
 mod start;
+mod student;
+pub mod summary;
+mod trial;
 
 use thiserror::Error;
 

@@ -211,7 +211,12 @@ impl Parameters {
         let inertial = targets().any(|(t, _)| t.is_inertial(model));
         let late = targets().any(|(t, _)| t.follows_constants());
         let free = (0..all.len()).filter(|&i| !all[i].frozen).collect();
-        Ok(Self { all, free, inertial, late })
+        Ok(Self {
+            all,
+            free,
+            inertial,
+            late,
+        })
     }
 
     /// Number of estimated parameters.
@@ -333,9 +338,17 @@ fn model_groups(model: &Model, rule: &ParameterRule) -> Result<Vec<Group>, Sysid
     Ok(components
         .into_iter()
         .map(|c| {
-            let members: Vec<_> =
-                targets.iter().filter(|t| t.component == c).cloned().map(with_value).collect();
-            let component = if several { format!("[{c}]") } else { String::new() };
+            let members: Vec<_> = targets
+                .iter()
+                .filter(|t| t.component == c)
+                .cloned()
+                .map(with_value)
+                .collect();
+            let component = if several {
+                format!("[{c}]")
+            } else {
+                String::new()
+            };
             let name = format!("{} {}{component}", rule.element, rule.attribute);
             let value = members[0].1;
             (name, Role::Model(members), value)
@@ -368,11 +381,18 @@ fn instruments(
     let found: Vec<&String> = names.iter().filter(|n| glob::matches(pattern, n)).collect();
     if found.is_empty() {
         let known = names.join(", ");
-        return Err(refuse(rule, format!("no {kind} is named `{pattern}`; there are: {known}")));
+        return Err(refuse(
+            rule,
+            format!("no {kind} is named `{pattern}`; there are: {known}"),
+        ));
     }
     let group = |pattern: &str| {
         let name = format!("{kind}/{pattern} {}", rule.attribute);
-        (name, Role::Instrument(instrument, pattern.to_owned()), nominal)
+        (
+            name,
+            Role::Instrument(instrument, pattern.to_owned()),
+            nominal,
+        )
     };
     Ok(if rule.tied {
         vec![group(pattern)]
@@ -384,9 +404,9 @@ fn instruments(
 /// Whether two parameters change the same number.
 fn overlaps(a: &Parameter, b: &Parameter) -> bool {
     match (&a.role, &b.role) {
-        (Role::Model(a), Role::Model(b)) => {
-            a.iter().any(|(x, _)| b.iter().any(|(y, _)| x.place == y.place))
-        }
+        (Role::Model(a), Role::Model(b)) => a
+            .iter()
+            .any(|(x, _)| b.iter().any(|(y, _)| x.place == y.place)),
         (Role::Instrument(i, p), Role::Instrument(j, q)) => {
             i == j && (glob::matches(p, q) || glob::matches(q, p))
         }
@@ -410,9 +430,15 @@ fn parameter(
         Role::Instrument(..) => (false, 1e-3, "s"),
     };
     let start = rule.start.unwrap_or(nominal);
-    let scale = rule.scale.unwrap_or(if positive && start > 0.0 { Scale::Log } else { Scale::Linear });
+    let scale = rule.scale.unwrap_or(if positive && start > 0.0 {
+        Scale::Log
+    } else {
+        Scale::Linear
+    });
     let log = scale == Scale::Log;
-    let lower = rule.lower.unwrap_or(if positive { 0.0 } else { f64::NEG_INFINITY });
+    let lower = rule
+        .lower
+        .unwrap_or(if positive { 0.0 } else { f64::NEG_INFINITY });
     let upper = rule.upper.unwrap_or(f64::INFINITY);
     let prior = rule.prior.unwrap_or(nominal);
     let fail = |reason: String| Err(refuse(rule, format!("{reason} ({name})")));
@@ -422,26 +448,38 @@ fn parameter(
         }
     }
     if lower >= upper {
-        return fail(format!("lower bound {lower} is not below the upper bound {upper}"));
+        return fail(format!(
+            "lower bound {lower} is not below the upper bound {upper}"
+        ));
     }
     if log && lower < 0.0 {
         return fail(format!("lower bound {lower} is negative on a log scale"));
     }
     if log && start <= 0.0 {
-        return fail(format!("starts at {start} on a log scale; give a positive start or scale = \"linear\""));
+        return fail(format!(
+            "starts at {start} on a log scale; give a positive start or scale = \"linear\""
+        ));
     }
     if !(lower..=upper).contains(&start) {
-        return fail(format!("starts at {start}, outside its bounds {lower} to {upper}"));
+        return fail(format!(
+            "starts at {start}, outside its bounds {lower} to {upper}"
+        ));
     }
     if !rule.frozen && (start == lower || start == upper) && !(start == 0.0 && positive) {
-        return fail(format!("starts on its bound {start}, where it cannot move both ways; start inside"));
+        return fail(format!(
+            "starts on its bound {start}, where it cannot move both ways; start inside"
+        ));
     }
     let prior_sigma = rule.prior_sigma.unwrap_or(f64::INFINITY);
     if prior_sigma.is_nan() || prior_sigma <= 0.0 {
-        return fail(format!("prior_sigma is {prior_sigma}, expected a positive number; to hold it use frozen"));
+        return fail(format!(
+            "prior_sigma is {prior_sigma}, expected a positive number; to hold it use frozen"
+        ));
     }
     if log && prior <= 0.0 && prior_sigma.is_finite() {
-        return fail(format!("prior is {prior} on a log scale, expected a positive number"));
+        return fail(format!(
+            "prior is {prior} on a log scale, expected a positive number"
+        ));
     }
     Ok(Parameter {
         name,

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::norm::Norm;
 use super::parameter::{Instrument, ParameterRule, Parameters, Role};
-use super::{SysidError, inverse};
+use super::{SysidError, inverse, trial};
 use crate::mjcf::glob;
 use crate::mujoco::{Model, ObjectKind};
-use crate::recording::{Bound, BoundChannel, Recording};
+use crate::recording::{Bound, Recording};
 
 /// Noise of the channels that match.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -158,8 +158,6 @@ pub struct Problem {
     pub command_delay: Vec<Setting>,
 }
 
-/// Least number of knots of a recording.
-const MIN_KNOTS: usize = 8;
 /// Part of the forces at a joint that may stay unexplained, unless told.
 const FORCE_SIGMA_RELATIVE: f64 = 0.01;
 
@@ -182,9 +180,19 @@ impl Problem {
             let bound = Bound::new(recording, &model)?;
             if let Some(missing) = bound.missing_controls(&model).first() {
                 let reason = format!("the control of actuator `{missing}` is not recorded");
-                return Err(SysidError::Recording { recording: name.clone(), reason });
+                return Err(SysidError::Recording {
+                    recording: name.clone(),
+                    reason,
+                });
             }
-            trials.push(trial(&model, config, name, recording, &bound, &mut channels)?);
+            trials.push(trial::trial(
+                &model,
+                config,
+                name,
+                recording,
+                &bound,
+                &mut channels,
+            )?);
         }
         let names: Vec<String> = channels.iter().map(|c| c.name.clone()).collect();
         let parameters = Parameters::new(&model, &config.parameter, &names)?;
@@ -224,7 +232,11 @@ impl Problem {
 
     /// Values of the free parameters at `x`.
     pub fn free_values(&self, x: &[f64]) -> Vec<f64> {
-        self.parameters.iter_free().zip(x).map(|(p, &x)| p.to_value(x)).collect()
+        self.parameters
+            .iter_free()
+            .zip(x)
+            .map(|(p, &x)| p.to_value(x))
+            .collect()
     }
 
     /// Controls of every knot of a trial (`n_knots` × nu): the mean of the command over the step that starts there.
@@ -251,8 +263,12 @@ impl Problem {
             }
             let (mut sum, mut n, mut low, mut high) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
             for trial in &self.trials {
-                let values: Vec<f64> =
-                    trial.samples.iter().filter(|s| s.channel == c).map(|s| s.value).collect();
+                let values: Vec<f64> = trial
+                    .samples
+                    .iter()
+                    .filter(|s| s.channel == c)
+                    .map(|s| s.value)
+                    .collect();
                 for w in values.windows(4) {
                     sum += (w[3] - 3.0 * w[2] + 3.0 * w[1] - w[0]).powi(2) / 20.0;
                     n += 1.0;
@@ -286,7 +302,10 @@ fn forces(model: &Model, config: &ProblemConfig) -> Result<(Vec<f64>, Vec<Norm>)
     for rule in config.force.iter().rev() {
         let given = rule.sigma.unwrap_or(0.0);
         if !given.is_finite() || given < 0.0 || rule.sigma == Some(0.0) || !rule.norm.is_valid() {
-            let reason = format!("force `{}`: sigma and norm need positive numbers", rule.joint);
+            let reason = format!(
+                "force `{}`: sigma and norm need positive numbers",
+                rule.joint
+            );
             return Err(SysidError::Setting { reason });
         }
         let mut found = false;
@@ -320,99 +339,6 @@ fn mean_of_held(series: &[(f64, f64)], from: f64, to: f64, at: &mut usize) -> f6
         (time, i) = (next, i + 1);
     }
     (sum + series[i].1 * (to - time)) / (to - from)
-}
-
-fn trial(
-    model: &Model,
-    config: &ProblemConfig,
-    name: &str,
-    recording: &Recording,
-    bound: &Bound,
-    channels: &mut Vec<Channel>,
-) -> Result<Trial, SysidError> {
-    let refuse = |reason: String| SysidError::Recording { recording: name.to_owned(), reason };
-    let n_sensordata = model.nsensordata();
-    let measured = (bound.sensors.iter().map(|b| (b, b.address, sensor_stage(model, b))))
-        .chain(bound.qpos.iter().map(|b| (b, n_sensordata + b.address, Stage::Position)))
-        .chain(bound.qvel.iter().map(|b| (b, n_sensordata + model.nq() + b.address, Stage::Velocity)));
-    let mut series = Vec::new();
-    for (b, source, stage) in measured {
-        let described = &recording.streams[b.stream].channels[b.column];
-        let rule = config.channel.iter().find(|r| glob::matches(&r.name, &described.name));
-        if rule.is_some_and(|r| r.ignore) {
-            continue;
-        }
-        let known = rule.and_then(|r| r.noise_sigma).or(b.noise_sigma);
-        if known.is_some_and(|s| !s.is_finite() || s <= 0.0) || rule.is_some_and(|r| !r.norm.is_valid()) {
-            return Err(refuse(format!("channel `{}` needs a positive noise_sigma and norm", described.name)));
-        }
-        let values = samples(recording, b);
-        if values.is_empty() {
-            continue;
-        }
-        let index = channels.iter().position(|c| c.name == described.name).unwrap_or_else(|| {
-            channels.push(Channel {
-                name: described.name.clone(),
-                unit: described.unit.clone(),
-                source,
-                stage,
-                sigma: known.unwrap_or(0.0),
-                sigma_known: known.is_some(),
-                norm: rule.map_or(Norm::Quadratic, |r| r.norm),
-                bias: Setting::Fixed(0.0),
-                gain: Setting::Fixed(1.0),
-                delay: Setting::Fixed(0.0),
-            });
-            channels.len() - 1
-        });
-        series.push((index, values));
-    }
-    if series.is_empty() {
-        return Err(refuse("no channel is a sensor, joint position or velocity of the model".into()));
-    }
-    let first = |values: &[(f64, f64)]| values.first().map_or(f64::INFINITY, |s| s.0);
-    let last = |values: &[(f64, f64)]| values.last().map_or(f64::NEG_INFINITY, |s| s.0);
-    let mut controls: Vec<Vec<(f64, f64)>> = vec![Vec::new(); model.nu()];
-    for b in &bound.controls {
-        controls[b.address] = samples(recording, b);
-    }
-    let sensed = series.iter().map(|(_, v)| first(v)).fold(f64::INFINITY, f64::min);
-    let start = controls.iter().map(|v| first(v)).fold(sensed, f64::max);
-    let end = series.iter().map(|(_, v)| last(v)).fold(f64::NEG_INFINITY, f64::max);
-    let h = model.timestep();
-    let n_knots = if end > start { ((end - start) / h + 1e-6).floor() as usize + 1 } else { 0 };
-    if n_knots < MIN_KNOTS {
-        return Err(refuse(format!(
-            "it covers {n_knots} steps of the model ({h} s each) with both sensors and controls, at least {MIN_KNOTS} are needed"
-        )));
-    }
-    for control in &mut controls {
-        control.iter_mut().for_each(|(time, _)| *time -= start);
-    }
-    let mut all: Vec<Sample> = (series.iter())
-        .flat_map(|(channel, values)| {
-            values.iter().map(|&(time, value)| Sample { channel: *channel, time: time - start, value })
-        })
-        .filter(|s| s.time > -1e-9)
-        .collect();
-    all.sort_by(|a, b| a.time.total_cmp(&b.time).then(a.channel.cmp(&b.channel)));
-    Ok(Trial { name: name.to_owned(), n_knots, start_s: start, controls, samples: all })
-}
-
-fn samples(recording: &Recording, b: &BoundChannel) -> Vec<(f64, f64)> {
-    let stream = &recording.streams[b.stream];
-    (0..stream.len())
-        .map(|i| (stream.time(i), stream.row(i)[b.column]))
-        .filter(|(_, value)| value.is_finite())
-        .collect()
-}
-
-fn sensor_stage(model: &Model, b: &BoundChannel) -> Stage {
-    match model.sensor_needstage()[b.object] {
-        1 => Stage::Position,
-        2 => Stage::Velocity,
-        _ => Stage::Acceleration,
-    }
 }
 
 #[cfg(test)]

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::problem::{Problem, Stage, Trial};
 use super::SysidError;
+use super::problem::{Problem, Stage, Trial};
 use crate::mujoco::{Data, Model};
 
 /// Half widths tried, in samples.
@@ -24,7 +24,11 @@ const EQUALITY_SIGMA: f64 = 1e-5;
 const STEP: f64 = 1e-6;
 
 /// Positions of all knots (`n_knots` × nq).
-pub(super) fn trajectory(problem: &Problem, trial: &Trial, x: &[f64]) -> Result<Vec<f64>, SysidError> {
+pub(super) fn trajectory(
+    problem: &Problem,
+    trial: &Trial,
+    x: &[f64],
+) -> Result<Vec<f64>, SysidError> {
     let h = problem.model.timestep();
     let free = problem.free_values(x);
     // (channel, value at each knot)
@@ -43,7 +47,10 @@ pub(super) fn trajectory(problem: &Problem, trial: &Trial, x: &[f64]) -> Result<
             (!series.is_empty()).then(|| (c, smooth(&series, sigma, trial.n_knots, h)))
         })
         .collect();
-    let size = trial.n_knots.div_ceil(2 * rayon::current_num_threads()).max(64);
+    let size = trial
+        .n_knots
+        .div_ceil(2 * rayon::current_num_threads())
+        .max(64);
     let starts: Vec<usize> = (0..trial.n_knots).step_by(size).collect();
     let parts: Vec<Result<Vec<f64>, SysidError>> = starts
         .into_par_iter()
@@ -84,17 +91,17 @@ fn smooth(series: &[(f64, f64)], sigma: f64, n_knots: usize, h: f64) -> Vec<f64>
             while at + 1 < n && series[at + 1].0 <= time {
                 at += 1;
             }
-            match width {
-                Some(m) => {
-                    let from = at.saturating_sub(m).min(n - (2 * m + 1).min(n));
-                    local(&series[from..(from + 2 * m + 1).min(n)], time).0
-                }
-                None => {
-                    let (a, b) = (series[at], series[(at + 1).min(n - 1)]);
-                    let part = if b.0 > a.0 { ((time - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 0.0 };
-                    a.1 + part * (b.1 - a.1)
-                }
+            if let Some(m) = width {
+                let from = at.saturating_sub(m).min(n - (2 * m + 1).min(n));
+                return local(&series[from..(from + 2 * m + 1).min(n)], time).0;
             }
+            let (a, b) = (series[at], series[(at + 1).min(n - 1)]);
+            let part = if b.0 > a.0 {
+                ((time - a.0) / (b.0 - a.0)).clamp(0.0, 1.0)
+            } else {
+                0.0
+            };
+            a.1 + part * (b.1 - a.1)
         })
         .collect()
 }
@@ -117,7 +124,10 @@ fn local(samples: &[(f64, f64)], time: f64) -> (f64, f64) {
     }
     let a = nalgebra::Matrix3::from_fn(|i, j| moments[i + j]);
     let b = nalgebra::Vector3::from(right);
-    let c = a.lu().solve(&b).unwrap_or_else(|| nalgebra::Vector3::new(right[0] / moments[0], 0.0, 0.0));
+    let c = a
+        .lu()
+        .solve(&b)
+        .unwrap_or_else(|| nalgebra::Vector3::new(right[0] / moments[0], 0.0, 0.0));
     (c[0], c[1] / span)
 }
 
@@ -154,13 +164,20 @@ impl<'a> Pose<'a> {
             })
             .collect();
         let n_equality = equality_rows(&self.data);
-        out.extend(self.data.efc_pos()[..n_equality].iter().map(|e| e / EQUALITY_SIGMA));
+        out.extend(
+            self.data.efc_pos()[..n_equality]
+                .iter()
+                .map(|e| e / EQUALITY_SIGMA),
+        );
         Ok(out)
     }
 
     fn fit(&mut self, goals: &[(usize, f64)], n_iterations: usize) -> Result<(), SysidError> {
         let nv = self.data.model().nv();
-        let finest = goals.iter().map(|&(c, _)| self.problem.channels[c].sigma).fold(1.0, f64::min);
+        let finest = goals
+            .iter()
+            .map(|&(c, _)| self.problem.channels[c].sigma)
+            .fold(1.0, f64::min);
         let stay = STAY / finest;
         for _ in 0..n_iterations {
             let base = self.residual(goals)?;
@@ -181,7 +198,10 @@ impl<'a> Pose<'a> {
             for (r, b) in right.iter_mut().zip(&base) {
                 *r = -b;
             }
-            let step = jacobian.svd(true, true).solve(&right, 1e-12).unwrap_or_else(|_| DVector::zeros(nv));
+            let step = jacobian
+                .svd(true, true)
+                .solve(&right, 1e-12)
+                .unwrap_or_else(|_| DVector::zeros(nv));
             // a wrong turn of a far start must not leave the neighbourhood in which it is linear
             let length = step.amax();
             let factor = if length > 0.5 { 0.5 / length } else { 1.0 };
@@ -200,11 +220,17 @@ impl<'a> Pose<'a> {
 /// Constraint rows that are equalities: they come first.
 fn equality_rows(data: &Data) -> usize {
     const EQUALITY: i32 = 0; // mjCNSTR_EQUALITY
-    data.efc_type()[..data.nefc()].iter().take_while(|&&t| t == EQUALITY).count()
+    data.efc_type()[..data.nefc()]
+        .iter()
+        .take_while(|&&t| t == EQUALITY)
+        .count()
 }
 
 /// Size of the forces at each degree of freedom, N m or N: what weight, motors and motion make of it.
-pub(super) fn force_scale(model: &Model, force: impl Iterator<Item = Vec<f64>>) -> Result<Vec<f64>, SysidError> {
+pub(super) fn force_scale(
+    model: &Model,
+    force: impl Iterator<Item = Vec<f64>>,
+) -> Result<Vec<f64>, SysidError> {
     let nv = model.nv();
     let mut data = Data::new(Arc::new(model.clone()))?;
     data.position_stage()?;
@@ -237,18 +263,26 @@ mod tests {
     fn smoothing_takes_what_the_noise_allows() {
         let h = 0.001;
         let truth = |t: f64| (3.0 * t).sin();
-        let noise = |i: usize| 1e-2 * ((i as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 5e-3;
-        let series: Vec<(f64, f64)> =
-            (0..2000).map(|i| (i as f64 * h, truth(i as f64 * h) + noise(i))).collect();
+        let noise =
+            |i: i32| 1e-2 * ((f64::from(i) * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 5e-3;
+        let series: Vec<(f64, f64)> = (0..2000)
+            .map(|i| (f64::from(i) * h, truth(f64::from(i) * h) + noise(i)))
+            .collect();
         let error = |values: &[f64]| {
-            let square: f64 =
-                values.iter().enumerate().map(|(k, v)| (v - truth(k as f64 * h)).powi(2)).sum();
+            let square: f64 = values
+                .iter()
+                .enumerate()
+                .map(|(k, v)| (v - truth(k as f64 * h)).powi(2))
+                .sum();
             (square / values.len() as f64).sqrt()
         };
         let raw: Vec<f64> = series.iter().map(|s| s.1).collect();
         assert!(error(&smooth(&series, 2.9e-3, 2000, h)) < 0.3 * error(&raw));
         // and nothing from a signal without noise
-        let exact: Vec<(f64, f64)> = (0..2000).map(|i| (i as f64 * h, truth(i as f64 * h))).collect();
+        let exact: Vec<(f64, f64)> = (0..2000)
+            .map(|i| f64::from(i) * h)
+            .map(|t| (t, truth(t)))
+            .collect();
         assert!(error(&smooth(&exact, 1e-9, 2000, h)) < 1e-9);
     }
 }

@@ -24,8 +24,8 @@ use serde::{Deserialize, Serialize};
 
 use super::RigError;
 use super::axes::Axis;
-use crate::mujoco::{Model, ObjectKind};
 use crate::mjcf::glob;
+use crate::mujoco::{Model, ObjectKind};
 
 /// What the `where` of an effect selects by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
