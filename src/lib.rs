@@ -26,6 +26,7 @@ pub mod compare;
 pub mod crosscheck;
 pub mod evaluate;
 pub mod exploration;
+pub mod gap;
 pub mod mjcf;
 pub mod mujoco;
 pub mod npg;

@@ -56,6 +56,7 @@ attributes! {
     "body" "pos" "body_pos" 3 signed "m" 1e-3;
     "body" "rotation" "" 3 signed "rad" 1e-2;
     "body" "length" "" 1 positive "m" 1e-3;
+    "body" "geometry" "" 1 positive "1" 1e-2;
     "geom" "friction" "geom_friction" 3 positive "1" 1e-1;
     "geom" "size" "geom_size" 3 positive "m" 1e-3;
     "geom" "pos" "geom_pos" 3 signed "m" 1e-3;
@@ -116,6 +117,8 @@ pub enum Place {
     Sliding(usize),
     /// distance of a body's origin from its parent's; the direction stays
     Length(usize),
+    /// places and sizes of a body's geoms, relative to the nominal ones
+    Geometry(usize),
     /// force of an actuator, limited to this both ways
     ForceLimit(usize),
 }
@@ -272,6 +275,7 @@ fn place(model: &Model, attribute: &Attribute, id: usize, component: usize) -> P
         ("pair", "damping") => Place::ContactDamping(id),
         ("pair", "slide") => Place::Sliding(id),
         ("body", "length") => Place::Length(id),
+        ("body", "geometry") => Place::Geometry(id),
         ("actuator", "forcelimit") => Place::ForceLimit(id),
         ("custom", _) => slots(
             "numeric_data",
@@ -326,6 +330,12 @@ fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<&'s
         ("body", "length") if norm(&model.body_pos()[3 * id..3 * id + 3]) == 0.0 => {
             Some("is where its parent is")
         }
+        ("body", "geometry")
+            if !body_geoms(model, id).all(|g| bounding_radius(model, g).is_some()) =>
+        {
+            Some("has a geom whose shape is not made of its size")
+        }
+        ("body", "geometry") if body_geoms(model, id).next().is_none() => Some("has no geom"),
         ("actuator", "forcelimit") if model.actuator_forcelimited()[id] == 0 => {
             Some("has no limited force")
         }
@@ -342,6 +352,12 @@ fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<&'s
         }
         _ => None,
     }
+}
+
+/// The geoms of a body.
+pub(crate) fn body_geoms(model: &Model, body: usize) -> std::ops::Range<usize> {
+    let first = usize::try_from(model.body_geomadr()[body]).unwrap_or(0);
+    first..first + model.body_geomnum()[body] as usize
 }
 
 /// Length of a vector.

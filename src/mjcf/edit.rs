@@ -2,7 +2,7 @@
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use super::attribute::{Place, Target, bounding_radius, norm, pair_inverse_mass};
+use super::attribute::{Place, Target, body_geoms, bounding_radius, norm, pair_inverse_mass};
 use super::inertia::{BodyInertia, N_INERTIA};
 use crate::mujoco::{Model, ModelEdit};
 
@@ -59,7 +59,7 @@ impl Target {
         )
     }
 
-    /// Its value in `model`. Changes relative to the nominal model (inertia, rotation, tilt) are 0.
+    /// Its value in `model`. Changes relative to the nominal model (inertia, rotation, tilt) are 0, factors (geometry) 1.
     pub fn value(&self, model: &Model) -> f64 {
         match self.place {
             Place::Slots { array, first, .. } => {
@@ -71,6 +71,7 @@ impl Target {
             Place::ContactStiffness(pair) => contact(model, pair).0,
             Place::ContactDamping(pair) => contact(model, pair).1,
             Place::Sliding(pair) => model.pair_friction()[5 * pair],
+            Place::Geometry(_) => 1.0,
             Place::Length(body) => norm(&model.body_pos()[3 * body..3 * body + 3]),
             Place::ForceLimit(actuator) => model.actuator_forcerange()[2 * actuator + 1],
         }
@@ -129,6 +130,16 @@ pub fn write(edit: &mut ModelEdit<'_>, targets: &[(&Target, f64)], constants_don
                 let pos = &mut edit.body_pos()[3 * body..3 * body + 3];
                 let factor = value / norm(pos);
                 pos.iter_mut().for_each(|x| *x *= factor);
+            }
+            Place::Geometry(body) => {
+                for geom in body_geoms(edit.model(), body) {
+                    let three = 3 * geom..3 * geom + 3;
+                    edit.geom_size()[three.clone()]
+                        .iter_mut()
+                        .for_each(|x| *x *= value);
+                    edit.geom_pos()[three].iter_mut().for_each(|x| *x *= value);
+                    resize(edit, geom);
+                }
             }
             Place::ForceLimit(actuator) => {
                 let range = &mut edit.actuator_forcerange()[2 * actuator..2 * actuator + 2];

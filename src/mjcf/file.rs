@@ -9,7 +9,7 @@ use std::ops::Range;
 use roxmltree::{Document, Node};
 
 use super::MjcfError;
-use super::attribute::{Place, Target};
+use super::attribute::{Place, Target, body_geoms};
 use super::edit::body_inertia;
 use crate::mujoco::Model;
 
@@ -74,6 +74,7 @@ pub fn rewrite(
             });
         }
         match name {
+            "geometry" => write_geometry(xml, model, target.id, node, &mut splices)?,
             "inertia" => {
                 let only_mass = target.attribute.name == "mass";
                 write_inertia(xml, model, target.id, only_mass, node, &mut splices);
@@ -89,9 +90,14 @@ pub fn rewrite(
             }
         }
         // a shape that the compiler would take the inertia from
-        if target.attribute.kind == "geom" && matches!(name, "pos" | "size") {
-            let body = model.geom_bodyid()[target.id] as usize;
-            let parent = node.parent().filter(|p| p.has_tag_name("body"));
+        let shape = target.attribute.kind == "geom" && matches!(name, "pos" | "size");
+        if shape || name == "geometry" {
+            let (body, parent) = if shape {
+                let parent = node.parent().filter(|p| p.has_tag_name("body"));
+                (model.geom_bodyid()[target.id] as usize, parent)
+            } else {
+                (target.id, Some(node))
+            };
             if let Some(parent) =
                 parent.filter(|p| !has_inertial(p) && !done.contains(&("body", body, "inertia")))
             {
@@ -165,6 +171,34 @@ fn in_degrees(root: Node<'_, '_>) -> bool {
         .filter_map(|n| n.attribute("angle"))
         .next_back()
         != Some("radian")
+}
+
+/// Places and sizes of a body's geoms, which the compiler keeps in the order of the file.
+fn write_geometry(
+    xml: &str,
+    model: &Model,
+    body: usize,
+    node: Node<'_, '_>,
+    splices: &mut Vec<Splice>,
+) -> Result<(), MjcfError> {
+    let geoms = node.children().filter(|n| n.has_tag_name("geom"));
+    for (geom, id) in geoms.zip(body_geoms(model, body)) {
+        if geom.attribute("fromto").is_some() {
+            return Err(MjcfError::FromTo {
+                body: node.attribute("name").unwrap_or_default().to_owned(),
+            });
+        }
+        let (size, pos) = (
+            &model.geom_size()[3 * id..3 * id + 3],
+            &model.geom_pos()[3 * id..3 * id + 3],
+        );
+        let mut attributes = vec![("size", numbers(size))];
+        if pos != [0.0; 3] {
+            attributes.push(("pos", numbers(pos)));
+        }
+        set(xml, geom, &attributes, &[], splices);
+    }
+    Ok(())
 }
 
 fn has_inertial(body: &Node<'_, '_>) -> bool {

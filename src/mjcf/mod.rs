@@ -45,6 +45,14 @@ pub enum MjcfError {
         /// its name
         element: String,
     },
+    /// A shape is written by its ends.
+    #[error(
+        "a geom of body `{body}` is given by fromto; write it by pos, orientation and size first"
+    )]
+    FromTo {
+        /// name of the body
+        body: String,
+    },
     /// An actuator is written in a short form that lacks the attribute.
     #[error(
         "actuator `{element}` is a `{tag}`, which has no {attribute}; write it as a `general` actuator first"

@@ -4,7 +4,7 @@
 //! torque on the second geom's body = −c N tanh(ω/s) n        ω spin about the normal n, relative to the first
 //! ```
 //!
-//! N is the pair's normal force in the step before, shared evenly among its contacts. The engine's own torsional friction
+//! N is the normal force of a pair, or of all contacts of a geom, in the step before, shared evenly among the contacts. The engine's own torsional friction
 //! (`condim` 4) adds edges to the friction pyramid, each of which also carries normal force: the contact gets stiffer by
 //! half. With elliptic cones it has no such side effect and needs no supplement.
 //!
@@ -15,22 +15,29 @@ use crate::mujoco::{Data, Forces, Model};
 
 #[derive(Debug)]
 struct Torsion {
-    geoms: [usize; 2],
+    geom: usize,
+    other: Option<usize>,
 }
 
-pub(super) fn torsion(model: &Model, pair: usize) -> Built {
-    let geoms = [
-        model.pair_geom1()[pair] as usize,
-        model.pair_geom2()[pair] as usize,
-    ];
-    Ok(Box::new(Torsion { geoms }))
+/// Of a contact pair, or of a geom: geoms are counted on behind the pairs.
+pub(super) fn torsion(model: &Model, contact: usize) -> Built {
+    let law = match contact.checked_sub(model.npair()) {
+        Some(geom) => Torsion { geom, other: None },
+        None => Torsion {
+            geom: model.pair_geom1()[contact] as usize,
+            other: Some(model.pair_geom2()[contact] as usize),
+        },
+    };
+    Ok(Box::new(law))
 }
 
 impl Torsion {
-    /// The contacts of the pair that make forces: indices.
+    /// The contacts that make forces: indices.
     fn contacts<'a>(&'a self, data: &'a Data) -> impl Iterator<Item = usize> + 'a {
-        let [a, b] = self.geoms;
-        let ours = move |g: [usize; 2]| g == [a, b] || g == [b, a];
+        let ours = move |[a, b]: [usize; 2]| {
+            let with = |geom: usize| self.other.is_none_or(|other| other == geom);
+            (a == self.geom && with(b)) || (b == self.geom && with(a))
+        };
         let all = data.contacts().iter().enumerate();
         all.filter(move |(_, c)| ours(c.geoms()) && c.efc_address().is_some())
             .map(|(i, _)| i)

@@ -17,8 +17,8 @@ pub enum Element {
     Actuator,
     /// an actuator that drives a hinge or slide, and stands apart from it
     Motor,
-    /// a contact pair
-    Pair,
+    /// a contact pair, or a geom in all its contacts
+    Contact,
     /// a force or torque sensor
     Wrench,
     /// the word `encoders`: all of them
@@ -82,7 +82,7 @@ kinds! {
     "cogging" Joint joint::cogging [sine "N m or N" -ANY, ANY; cosine "N m or N" -ANY, ANY; per_turn "1 or rad/m" 0.0, ANY;]
     "joint_stop" Joint joint::joint_stop
         [stiffness "N m/rad or N/m" 0.0, ANY; at "rad or m" -ANY, ANY; side "1" -1.0, 1.0; damping "N m s/rad or N s/m" 0.0, ANY;]
-    "torsional_friction" Pair contact::torsion [coefficient "m" 0.0, ANY; speed "rad/s" TINY, ANY;]
+    "torsional_friction" Contact contact::torsion [coefficient "m" 0.0, ANY; speed "rad/s" TINY, ANY;]
     "encoder_scale" Joint encoder::scale [scale "1" -0.9, ANY;]
     "encoder_offset" Joint encoder::offset [offset "rad or m" -ANY, ANY;]
     "sensor_delay" Encoders encoder::delay [time "s" 0.0, MAX_DELAY_S;]
@@ -182,12 +182,15 @@ fn term(model: &Model, id: usize, name: &str) -> Result<Term, String> {
 }
 
 impl Element {
-    /// Id of the element named `name`.
+    /// Id of the element named `name`; of contacts first the pairs, then the geoms.
     fn find(self, model: &Model, name: &str) -> Result<usize, String> {
+        if self == Self::Contact {
+            return contact(model, name);
+        }
         let kind = match self {
             Self::Joint => ObjectKind::Joint,
             Self::Actuator | Self::Motor => ObjectKind::Actuator,
-            Self::Pair => ObjectKind::Pair,
+            Self::Contact => ObjectKind::Pair,
             Self::Wrench => ObjectKind::Sensor,
             Self::Encoders if name == "encoders" => return Ok(0),
             Self::Encoders => return Err(format!("it is for `{name}`, expected `encoders`")),
@@ -203,4 +206,13 @@ impl Element {
             _ => Ok(id),
         }
     }
+}
+
+fn contact(model: &Model, name: &str) -> Result<usize, String> {
+    if let Ok(pair) = model.id(ObjectKind::Pair, name) {
+        return Ok(pair);
+    }
+    let geom = model.id(ObjectKind::Geom, name);
+    let geom = geom.map_err(|e| format!("{e}, and no contact pair of that name"))?;
+    Ok(model.npair() + geom)
 }

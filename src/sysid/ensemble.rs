@@ -88,6 +88,7 @@ pub fn models(
             Place::ContactStiffness(_) | Place::ContactDamping(_) => &["pair_solref"],
             Place::Sliding(_) => &["pair_friction"],
             Place::Length(_) => &["body_pos"],
+            Place::Geometry(_) => &["geom_size", "geom_pos", "geom_rbound"],
             Place::ForceLimit(_) => &["actuator_forcerange"],
         };
         for array in changed {

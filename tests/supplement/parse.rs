@@ -60,7 +60,7 @@ fn mistakes_are_named() {
             "torsional_friction",
             "p",
             "0 1",
-            "the model has no contact pair named 'p'; it has: none",
+            "the model has no geom named 'p'; it has: none, and no contact pair of that name",
         ),
     ] {
         let error = error(&numeric(kind, element, data), "");

@@ -38,6 +38,7 @@ fn text_and_compiled_model_agree() {
     for attribute in ATTRIBUTES {
         let element = match attribute.kind {
             "body" if attribute.name == "length" => "body/p0_tip",
+            "body" if attribute.name == "geometry" => "body/object",
             "body" => "body/p0_upper",
             "joint" => "joint/p0_upper",
             "geom" => "geom/object",

@@ -1,0 +1,331 @@
+//! Masses, gravity and geometry.
+
+use super::place::{Site, bodies, bodies_that, is_free};
+use super::{About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows};
+use crate::mjcf::attribute::norm;
+use crate::mjcf::structure::Change;
+use crate::mujoco::Model;
+
+/// Radius of the ball that a payload is written as, m: nearly a point.
+const PAYLOAD_RADIUS: f64 = 1e-3;
+
+/// The mass of a body times 1 + value.
+fn mass(site: &Site<'_>) -> Expression {
+    let before = site.model.body_mass()[site.id];
+    let element = format!("body/{}", site.place.name);
+    Expression::of(vec![Number::affine(element, "mass", 0, before, before)])
+}
+
+/// A link heavier than in the model.
+#[derive(Debug)]
+pub(super) struct LinkMass;
+
+impl Effect for LinkMass {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "link_mass",
+            law: "mass and inertia of a link times 1 + s",
+            shows: Shows::Force,
+            signature: "−s Y(q, v, a): the link's inertial and gravity torques, in all joints below it",
+            parameters: &[Parameter::amplitude("share", Dimension::Share, [0.02, 0.5]).signed()],
+            neighbours: &[
+                Neighbour {
+                    name: "payload",
+                    split: "postures and fast motion: a point changes other moments",
+                },
+                Neighbour {
+                    name: "rotor_inertia",
+                    split: "holds, where rotors say nothing",
+                },
+                Neighbour {
+                    name: "torque_gain",
+                    split: "a known load",
+                },
+            ],
+            behaviours: &["multi_sine", "postures"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        bodies(model, false)
+    }
+
+    fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
+        Ok(mass(site))
+    }
+}
+
+/// A free body heavier than in the model.
+#[derive(Debug)]
+pub(super) struct ObjectMass;
+
+impl Effect for ObjectMass {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "object_mass",
+            law: "mass and inertia of a free body times 1 + s",
+            shows: Shows::Contact,
+            signature: "−s m (a − g) of the body: forces on it grow with its acceleration",
+            parameters: &[Parameter::amplitude("share", Dimension::Share, [0.02, 0.5]).signed()],
+            neighbours: &[Neighbour {
+                name: "contact_friction",
+                split: "slow and fast pushes: friction does not grow with acceleration",
+            }],
+            behaviours: &["push"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        bodies(model, true)
+    }
+
+    fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
+        Ok(mass(site))
+    }
+}
+
+/// Something on a link.
+#[derive(Debug)]
+pub(super) struct Payload;
+
+impl Effect for Payload {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "payload",
+            law: "a point mass on a body",
+            shows: Shows::Force,
+            signature: "−Jᵀ m (a − g) of the point",
+            parameters: &[
+                Parameter::amplitude("mass", Dimension::Mass, [0.01, 0.5]),
+                Parameter::shape("x", Dimension::Length, &[0.0], [-0.5, 0.5]).signed(),
+                Parameter::shape("y", Dimension::Length, &[0.0], [-0.5, 0.5]).signed(),
+                Parameter::shape("z", Dimension::Length, &[0.0], [-0.5, 0.5]).signed(),
+            ],
+            neighbours: &[
+                Neighbour {
+                    name: "link_mass",
+                    split: "postures and fast motion: a point changes other moments",
+                },
+                Neighbour {
+                    name: "gravity_tilt",
+                    split: "fast motion, where gravity says nothing",
+                },
+                Neighbour {
+                    name: "joint_spring",
+                    split: "holds over the whole range",
+                },
+            ],
+            behaviours: &["postures", "multi_sine"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        let mut all = bodies(model, false);
+        all.extend(bodies(model, true));
+        all
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        let [mass, x, y, z] = values else {
+            return Err("a payload has four numbers".to_owned());
+        };
+        let body = site.place.name.clone();
+        let name = format!("{body}_payload");
+        let inertia = 0.4 * mass * PAYLOAD_RADIUS * PAYLOAD_RADIUS;
+        let xml = format!(
+            "<body name=\"{name}\" pos=\"{x} {y} {z}\"> <inertial pos=\"0 0 0\" mass=\"{mass}\" diaginertia=\"{inertia:e} {inertia:e} {inertia:e}\"/> </body>"
+        );
+        let element = format!("body/{name}");
+        let place = |i| Number::is(element.clone(), "pos", i);
+        Ok(Expression {
+            changes: vec![Change::Child { body, xml }],
+            numbers: vec![
+                Number::is(element.clone(), "mass", 0),
+                place(0),
+                place(1),
+                place(2),
+            ],
+            supplement: None,
+        })
+    }
+}
+
+/// A machine that does not stand level.
+#[derive(Debug)]
+pub(super) struct GravityTilt;
+
+impl Effect for GravityTilt {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "gravity_tilt",
+            law: "gravity turned about x and y",
+            shows: Shows::Force,
+            signature: "∂G/∂g(q) δg: two numbers for all joints, sines of posture",
+            parameters: &[
+                Parameter::amplitude("about_x", Dimension::Angle, [0.003, 0.1]).signed(),
+                Parameter::amplitude("about_y", Dimension::Angle, [0.003, 0.1]).signed(),
+            ],
+            neighbours: &[
+                Neighbour {
+                    name: "joint_spring",
+                    split: "postures over the whole range",
+                },
+                Neighbour {
+                    name: "payload",
+                    split: "fast motion, where gravity says nothing",
+                },
+                Neighbour {
+                    name: "torque_offset",
+                    split: "several postures",
+                },
+                Neighbour {
+                    name: "anisotropic_friction",
+                    split: "opposite pushes: a tilt helps one and hinders the other",
+                },
+                Neighbour {
+                    name: "encoder_offset",
+                    split: "the tip against a fixture",
+                },
+            ],
+            behaviours: &["postures", "push"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        if norm(&model.option().gravity) == 0.0 {
+            Vec::new()
+        } else {
+            vec![Place::world()]
+        }
+    }
+
+    fn express(&self, _: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
+        let about = |i| Number::is("option/gravity".to_owned(), "tilt", i);
+        Ok(Expression::of(vec![about(0), about(1)]))
+    }
+}
+
+/// A machine that stands elsewhere.
+#[derive(Debug)]
+pub(super) struct BasePose;
+
+impl Effect for BasePose {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "base_pose",
+            law: "a body that stands in the world moved, and turned about its z axis",
+            shows: Shows::Contact,
+            signature: "a gap or dent the same wherever the machine touches, and readings of places that are off by a shift and a turn",
+            parameters: &[
+                Parameter::amplitude("x", Dimension::Length, [0.005, 0.1]).signed(),
+                Parameter::amplitude("y", Dimension::Length, [0.005, 0.1]).signed(),
+                Parameter::amplitude("z", Dimension::Length, [0.005, 0.1]).signed(),
+                Parameter::amplitude("yaw", Dimension::Angle, [0.002, 0.05]).signed(),
+            ],
+            neighbours: &[
+                Neighbour {
+                    name: "encoder_offset",
+                    split: "touches all over the range",
+                },
+                Neighbour {
+                    name: "length_scale",
+                    split: "touches near and far",
+                },
+                Neighbour {
+                    name: "fingertip_radius",
+                    split: "touches from several sides",
+                },
+            ],
+            behaviours: &["touch", "slide"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        bodies_that(model, |b| {
+            let carries =
+                (b..model.nbody()).any(|c| below(model, c, b) && model.body_dofnum()[c] > 0);
+            model.body_parentid()[b] == 0
+                && model.body_mocapid()[b] < 0
+                && !is_free(model, b)
+                && carries
+        })
+    }
+
+    fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
+        let element = format!("body/{}", site.place.name);
+        let pos = &site.model.body_pos()[3 * site.id..3 * site.id + 3];
+        let mut numbers: Vec<Number> = (0..3)
+            .map(|i| Number::affine(element.clone(), "pos", i, pos[i], 1.0))
+            .collect();
+        numbers.push(Number::is(element, "rotation", 2));
+        Ok(Expression::of(numbers))
+    }
+}
+
+/// Whether `body` is `above` or hangs on it.
+fn below(model: &Model, body: usize, above: usize) -> bool {
+    let mut at = body;
+    while at > above {
+        at = model.body_parentid()[at] as usize;
+    }
+    at == above
+}
+
+/// Lengths that are all wrong by one factor.
+#[derive(Debug)]
+pub(super) struct LengthScale;
+
+impl Effect for LengthScale {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "length_scale",
+            law: "a link's length, or the shape of a free body, times 1 + s",
+            shows: Shows::Contact,
+            signature: "places beyond the joint off by s times the length, torques of contact by the lever",
+            parameters: &[Parameter::amplitude("share", Dimension::Share, [0.002, 0.05]).signed()],
+            neighbours: &[
+                Neighbour {
+                    name: "base_pose",
+                    split: "touches near and far",
+                },
+                Neighbour {
+                    name: "encoder_scale",
+                    split: "touches all over the range",
+                },
+                Neighbour {
+                    name: "fingertip_radius",
+                    split: "touches from several sides",
+                },
+            ],
+            behaviours: &["touch", "slide"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        bodies_that(model, |b| {
+            let offset = norm(&model.body_pos()[3 * b..3 * b + 3]) > 0.0;
+            let shaped = model.body_geomnum()[b] > 0;
+            let link = model.body_parentid()[b] != 0 && offset && model.body_weldid()[b] != 0;
+            if is_free(model, b) { shaped } else { link }
+        })
+    }
+
+    fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
+        let element = format!("body/{}", site.place.name);
+        if is_free(site.model, site.id) {
+            return Ok(Expression::of(vec![Number::affine(
+                element, "geometry", 0, 1.0, 1.0,
+            )]));
+        }
+        let length = norm(&site.model.body_pos()[3 * site.id..3 * site.id + 3]);
+        Ok(Expression::of(vec![Number::affine(
+            element, "length", 0, length, length,
+        )]))
+    }
+}

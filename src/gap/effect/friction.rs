@@ -1,0 +1,361 @@
+//! Friction and drag of joints.
+//!
+//! Dry friction is the engine's `frictionloss`, a constraint that sticks; where its level changes with speed, direction or
+//! load, a supplement moves that level ([`crate::supplement`]). The engine's default constraint is soft: it turns over
+//! within about a millisecond's worth of f/I of speed, and creeps where it should stick. A joint that still has these
+//! defaults gets values near the ideal.
+
+use super::place::joints;
+use super::{
+    About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows, Site,
+};
+use crate::mjcf::structure::Change;
+use crate::mujoco::Model;
+
+/// Level written where only a part that changes is asked for: the constraint must exist. Part of that size.
+const FLOOR: f64 = 1e-3;
+/// The engine's defaults of `solreffriction` and `solimpfriction`.
+const SOFT: ([f64; 2], [f64; 3]) = ([0.02, 1.0], [0.9, 0.95, 0.001]);
+/// Impedance near 1, as far as solvers stay well behaved.
+const FIRM: &str = "0.99 0.99 0.001";
+const LEVEL: Parameter = Parameter::companion("level", Dimension::Force, [0.02, 0.5]);
+
+/// A dry joint's attributes with `level` more friction, and the number it is.
+fn dry(site: &Site<'_>, level: f64, extra: f64) -> Result<(Vec<Change>, Number), String> {
+    let (model, dof) = (site.model, site.dof()?);
+    let before = model.dof_frictionloss()[dof];
+    let joint = site.place.name.clone();
+    let attribute = |attribute, value: String| Change::Attribute {
+        kind: "joint",
+        element: joint.clone(),
+        attribute,
+        value,
+    };
+    let least = if before > 0.0 {
+        0.0
+    } else {
+        FLOOR * extra.abs()
+    };
+    let mut changes = Vec::new();
+    if before == 0.0 {
+        changes.push(Change::Room { rows: 1 });
+        changes.push(attribute(
+            "frictionloss",
+            format!("{}", (before + level).max(least)),
+        ));
+    }
+    let (solref, solimp) = (
+        &model.dof_solref()[2 * dof..2 * dof + 2],
+        &model.dof_solimp()[5 * dof..5 * dof + 3],
+    );
+    if (solref, solimp) == (&SOFT.0[..], &SOFT.1[..]) {
+        // two steps are the shortest time constant that stays stable
+        changes.push(attribute(
+            "solreffriction",
+            format!("{} 1", 2.0 * model.timestep()),
+        ));
+        changes.push(attribute("solimpfriction", FIRM.to_owned()));
+    }
+    let number = Number::Of {
+        element: format!("joint/{joint}"),
+        attribute: "frictionloss",
+        component: 0,
+        origin: before,
+        slope: 1.0,
+        least,
+    };
+    Ok((changes, number))
+}
+
+/// A supplement of level-changing friction; `level` is value number `at`, the others are the supplement's.
+fn changing(
+    kind: &'static str,
+    site: &Site<'_>,
+    values: &[f64],
+    at: usize,
+) -> Result<Expression, String> {
+    let (changes, number) = dry(site, values[at], values[0])?;
+    let own: Vec<f64> = values
+        .iter()
+        .enumerate()
+        .filter(|(i, _)| *i != at)
+        .map(|(_, v)| *v)
+        .collect();
+    let mut numbers: Vec<Number> = (0..own.len()).map(Number::Custom).collect();
+    numbers.insert(at, number);
+    let supplement = Some((kind, site.place.name.clone(), own));
+    Ok(Expression {
+        changes,
+        supplement,
+        numbers,
+    })
+}
+
+/// Damping.
+#[derive(Debug)]
+pub(super) struct Viscous;
+
+impl Effect for Viscous {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "viscous_friction",
+            law: "torque −d v",
+            shows: Shows::Force,
+            signature: "−d v: odd in speed and proportional to it, in every posture",
+            parameters: &[Parameter::amplitude(
+                "damping",
+                Dimension::ForcePerSpeed,
+                [0.01, 1.0],
+            )],
+            neighbours: &[
+                Neighbour {
+                    name: "quadratic_drag",
+                    split: "one motion at three speeds",
+                },
+                Neighbour {
+                    name: "coulomb_friction",
+                    split: "slow and fast constant speeds",
+                },
+            ],
+            behaviours: &["multi_sine", "reversals"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        joints(model)
+    }
+
+    fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
+        let before = site.model.dof_damping()[site.dof()?];
+        let element = format!("joint/{}", site.place.name);
+        Ok(Expression::of(vec![Number::affine(
+            element, "damping", 0, before, 1.0,
+        )]))
+    }
+}
+
+/// Dry friction.
+#[derive(Debug)]
+pub(super) struct Coulomb;
+
+impl Effect for Coulomb {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "coulomb_friction",
+            law: "torque −f sgn v, up to f at rest",
+            shows: Shows::Force,
+            signature: "−f sgn(v): jumps at reversals, the same at every speed",
+            parameters: &[Parameter::amplitude("level", Dimension::Force, [0.02, 0.5])],
+            neighbours: &[
+                Neighbour {
+                    name: "stribeck_friction",
+                    split: "slow constant speeds, from nearly none upwards",
+                },
+                Neighbour {
+                    name: "load_dependent_friction",
+                    split: "the same speed under different loads",
+                },
+                Neighbour {
+                    name: "asymmetric_friction",
+                    split: "holds approached from both sides",
+                },
+                Neighbour {
+                    name: "viscous_friction",
+                    split: "slow and fast constant speeds",
+                },
+                Neighbour {
+                    name: "backlash",
+                    split: "reversals without load",
+                },
+            ],
+            behaviours: &["reversals"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        joints(model)
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        let (changes, number) = dry(site, values[0], 0.0)?;
+        Ok(Expression {
+            changes,
+            numbers: vec![number],
+            supplement: None,
+        })
+    }
+}
+
+/// Dry friction that differs with direction.
+#[derive(Debug)]
+pub(super) struct Asymmetric;
+
+impl Effect for Asymmetric {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "asymmetric_friction",
+            law: "torque −(f + a) forwards, +(f − a) backwards",
+            shows: Shows::Force,
+            signature: "−f sgn(v) − a while moving: an offset that is gone at rest",
+            parameters: &[
+                Parameter::amplitude("asymmetry", Dimension::Force, [0.01, 0.3]).signed(),
+                LEVEL,
+                Parameter::shape("speed", Dimension::Speed, &[0.02], [0.005, 0.1]),
+            ],
+            neighbours: &[
+                Neighbour {
+                    name: "torque_offset",
+                    split: "holds approached from both sides: an offset stays, friction does not",
+                },
+                Neighbour {
+                    name: "coulomb_friction",
+                    split: "both directions at one speed",
+                },
+                Neighbour {
+                    name: "gravity_tilt",
+                    split: "several postures",
+                },
+            ],
+            behaviours: &["reversals", "postures"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        joints(model)
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        changing("asymmetric_friction", site, values, 1)
+    }
+}
+
+/// Dry friction that falls with speed.
+#[derive(Debug)]
+pub(super) struct Stribeck;
+
+impl Effect for Stribeck {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "stribeck_friction",
+            law: "torque −(f + e exp(−(v/s)²)) sgn v",
+            shows: Shows::Force,
+            signature: "−(f + e exp(−(v/s)²)) sgn(v): more friction at the slowest speeds",
+            parameters: &[
+                Parameter::amplitude("excess", Dimension::Force, [0.02, 0.5]).signed(),
+                LEVEL,
+                Parameter::shape("speed", Dimension::Speed, &[0.1, 0.03, 0.3], [0.01, 0.5]),
+            ],
+            neighbours: &[
+                Neighbour {
+                    name: "coulomb_friction",
+                    split: "slow constant speeds, from nearly none upwards",
+                },
+                Neighbour {
+                    name: "backlash",
+                    split: "reversals without load",
+                },
+                Neighbour {
+                    name: "transmission_compliance",
+                    split: "small reversals of several sizes",
+                },
+            ],
+            behaviours: &["reversals"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        joints(model)
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        changing("stribeck_friction", site, values, 1)
+    }
+}
+
+/// Dry friction of a loaded transmission.
+#[derive(Debug)]
+pub(super) struct LoadDependent;
+
+impl Effect for LoadDependent {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "load_dependent_friction",
+            law: "torque −(f + μ |motor torque|) sgn v",
+            shows: Shows::Force,
+            signature: "−(f + μ |u|) sgn(v): friction that grows with the torque passed on",
+            parameters: &[
+                Parameter::amplitude("coefficient", Dimension::Share, [0.01, 0.3]),
+                LEVEL,
+            ],
+            neighbours: &[
+                Neighbour {
+                    name: "coulomb_friction",
+                    split: "the same speed under different loads",
+                },
+                Neighbour {
+                    name: "torque_gain",
+                    split: "the same load forwards and backwards",
+                },
+            ],
+            behaviours: &["reversals", "postures", "press"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        let driven: Vec<String> = (0..model.nu())
+            .filter_map(|u| super::place::joint_of(model, u))
+            .collect();
+        joints(model)
+            .into_iter()
+            .filter(|place| driven.contains(&place.name))
+            .collect()
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        // the floor is a part of a torque, taken as 1
+        changing("load_dependent_friction", site, values, 1)
+    }
+}
+
+/// Drag of a medium or of a fast rotor.
+#[derive(Debug)]
+pub(super) struct QuadraticDrag;
+
+impl Effect for QuadraticDrag {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "quadratic_drag",
+            law: "torque −c v |v|",
+            shows: Shows::Force,
+            signature: "−c v |v|: odd in speed, growing with its square",
+            parameters: &[Parameter::amplitude(
+                "drag",
+                Dimension::ForcePerSpeedSquared,
+                [0.01, 1.0],
+            )],
+            neighbours: &[Neighbour {
+                name: "viscous_friction",
+                split: "one motion at three speeds",
+            }],
+            behaviours: &["multi_sine", "chirp"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        joints(model)
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        Ok(Expression::supplement(
+            "quadratic_drag",
+            &site.place.name,
+            values,
+        ))
+    }
+}

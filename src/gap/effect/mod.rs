@@ -1,0 +1,141 @@
+//! The catalogue of effects that a model may lack.
+//!
+//! An [`Effect`] knows its law, its parameters, where on a model it can act, how a model file says it, and what it may be
+//! mistaken for. [`write`] puts one into a model file: by attributes and elements where `MuJoCo` 2.2.2 has them, else as a
+//! [`crate::supplement`]. What comes back, [`Written`], is a model to simulate and identify, with one rule of
+//! [`crate::sysid`] a parameter.
+//!
+//! ```text
+//! base file ── Expression: structural changes, then numbers ──> file, model, rules
+//! number of the model = origin + slope × value of the parameter
+//! ```
+//!
+//! An effect of size 0 is absent: nothing is written.
+
+mod body;
+mod contact;
+mod drive;
+mod friction;
+mod joint;
+mod parameter;
+mod place;
+mod sensing;
+mod transmission;
+mod write;
+
+pub use parameter::{Dimension, Parameter, Role, Scales, Sign};
+pub use place::{Place, PlaceKind, Site};
+pub use write::{EffectError, Estimated, Expression, Form, ModelFile, Number, Written, write};
+
+use crate::mujoco::Model;
+
+/// What an effect does to the quantities that are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shows {
+    /// in the force that the motion needs and nothing explains
+    Force,
+    /// in readings, with the motion as it should be
+    Reading,
+    /// in forces, where bodies touch
+    Contact,
+}
+
+/// Another effect that looks alike, and what tells them apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Neighbour {
+    /// name of the other
+    pub name: &'static str,
+    /// the experiment that splits them
+    pub split: &'static str,
+}
+
+/// What is known of an effect without a model.
+#[derive(Debug)]
+pub struct About {
+    /// its name
+    pub name: &'static str,
+    /// its law
+    pub law: &'static str,
+    /// where it shows
+    pub shows: Shows,
+    /// how: residual as a function of position q, velocity v, acceleration a, control u
+    pub signature: &'static str,
+    /// its parameters
+    pub parameters: &'static [Parameter],
+    /// what it is mistaken for
+    pub neighbours: &'static [Neighbour],
+    /// what a machine has to do for it to show, by names of [`crate::rig::behaviour`]
+    pub behaviours: &'static [&'static str],
+}
+
+/// Physics that a model may lack.
+pub trait Effect: std::fmt::Debug + Sync {
+    /// What is known of it without a model.
+    fn about(&self) -> &'static About;
+
+    /// Where it can act.
+    fn places(&self, model: &Model) -> Vec<Place>;
+
+    /// How a model file says it, with one value a parameter, in order.
+    ///
+    /// # Errors
+    /// The reason why it cannot be said there.
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String>;
+}
+
+/// Every effect; a new one is a type in a file of this folder and a line here.
+pub const CATALOGUE: &[&dyn Effect] = &[
+    &friction::Viscous,
+    &friction::Coulomb,
+    &friction::Asymmetric,
+    &friction::Stribeck,
+    &friction::LoadDependent,
+    &friction::QuadraticDrag,
+    &joint::Spring,
+    &joint::TorqueOffset,
+    &joint::RotorInertia,
+    &body::LinkMass,
+    &body::Payload,
+    &body::GravityTilt,
+    &drive::TorqueGain,
+    &drive::TorqueSaturation,
+    &drive::ActuatorLag,
+    &drive::ActuatorDelay,
+    &drive::TorqueRipple,
+    &joint::Cogging,
+    &transmission::Backlash,
+    &transmission::Compliance,
+    &joint::Coupling,
+    &joint::Stop,
+    &sensing::EncoderOffset,
+    &sensing::EncoderScale,
+    &sensing::SensorDelay,
+    &sensing::ForceSensorBias,
+    &body::BasePose,
+    &body::ObjectMass,
+    &contact::ContactFriction,
+    &contact::TorsionalFriction,
+    &contact::FrictionCone,
+    &contact::ContactStiffness,
+    &contact::ContactDamping,
+    &contact::AnisotropicFriction,
+    &contact::FingertipRadius,
+    &body::LengthScale,
+];
+
+/// The effect of a name.
+pub fn named(name: &str) -> Option<&'static dyn Effect> {
+    CATALOGUE.iter().copied().find(|e| e.about().name == name)
+}
+
+/// Every effect at every place of a model where it can act.
+pub fn candidates(model: &Model) -> Vec<(&'static dyn Effect, Place)> {
+    let at = |effect: &&'static dyn Effect| {
+        let effect = *effect;
+        effect
+            .places(model)
+            .into_iter()
+            .map(move |place| (effect, place))
+    };
+    CATALOGUE.iter().flat_map(at).collect()
+}

@@ -1,0 +1,286 @@
+//! Parameters of effects: what they mean, how large they may be.
+//!
+//! Machines differ by orders of magnitude, so ranges are multiples of a machine's own [`Scales`]: dry friction in parts of
+//! the force at the joint, damping in parts of that force at the joint's speed, and so on.
+
+use super::{Place, PlaceKind};
+use crate::mjcf::attribute::dofs;
+use crate::mujoco::{Model, ObjectKind};
+
+/// The part a parameter has in its effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Role {
+    /// where all of these are 0 there is no effect; small ones add up
+    Amplitude,
+    /// as an amplitude, but at 0 there is only a simpler effect
+    Companion,
+    /// says nothing at amplitude 0; to be tried on a grid, in multiples of the scale, the first one first
+    Shape(&'static [f64]),
+    /// an amplitude that does nothing until it is large; to be tried on a grid like a shape
+    Threshold(&'static [f64]),
+    /// there (1) or not (0)
+    Switch,
+}
+
+/// Which values make sense.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sign {
+    /// at least 0
+    Positive,
+    /// any
+    Either,
+}
+
+/// What a parameter is made of, and so its unit and the size that matters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Dimension {
+    /// N m or N
+    Force,
+    /// N m s/rad or N s/m
+    ForcePerSpeed,
+    /// N m s²/rad² or N s²/m²
+    ForcePerSpeedSquared,
+    /// N m/rad or N/m
+    ForcePerTravel,
+    /// kg m² or kg
+    ForcePerAcceleration,
+    /// rad/s or m/s
+    Speed,
+    /// rad or m
+    Travel,
+    /// rad/(N m) or m/N
+    TravelPerForce,
+    /// periods a turn, or rad/m
+    PerTravel,
+    /// rad
+    Angle,
+    /// rad/s
+    Spin,
+    /// m
+    Length,
+    /// kg
+    Mass,
+    /// s
+    Time,
+    /// without
+    Share,
+}
+
+/// One parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Parameter {
+    /// name
+    pub name: &'static str,
+    /// unit and scale
+    pub dimension: Dimension,
+    /// part in the effect
+    pub role: Role,
+    /// values that make sense
+    pub sign: Sign,
+    /// size of a barely visible effect, in multiples of the scale
+    pub low: f64,
+    /// size of the largest to be expected
+    pub high: f64,
+}
+
+impl Parameter {
+    const fn new(name: &'static str, dimension: Dimension, role: Role, range: [f64; 2]) -> Self {
+        let [low, high] = range;
+        let sign = Sign::Positive;
+        Self {
+            name,
+            dimension,
+            role,
+            sign,
+            low,
+            high,
+        }
+    }
+
+    /// A size of at least 0.
+    pub(super) const fn amplitude(
+        name: &'static str,
+        dimension: Dimension,
+        range: [f64; 2],
+    ) -> Self {
+        Self::new(name, dimension, Role::Amplitude, range)
+    }
+
+    /// A size at 0 of which a simpler effect is left.
+    pub(super) const fn companion(
+        name: &'static str,
+        dimension: Dimension,
+        range: [f64; 2],
+    ) -> Self {
+        Self::new(name, dimension, Role::Companion, range)
+    }
+
+    /// A shape.
+    pub(super) const fn shape(
+        name: &'static str,
+        dimension: Dimension,
+        grid: &'static [f64],
+        range: [f64; 2],
+    ) -> Self {
+        Self::new(name, dimension, Role::Shape(grid), range)
+    }
+
+    /// The same with either sign.
+    pub(super) const fn signed(mut self) -> Self {
+        self.sign = Sign::Either;
+        self
+    }
+
+    /// Its unit at a place.
+    pub fn unit(&self, scales: &Scales) -> &'static str {
+        let pick = |hinge, slide| if scales.slide { slide } else { hinge };
+        match self.dimension {
+            Dimension::Force => pick("N m", "N"),
+            Dimension::ForcePerSpeed => pick("N m s/rad", "N s/m"),
+            Dimension::ForcePerSpeedSquared => pick("N m s^2/rad^2", "N s^2/m^2"),
+            Dimension::ForcePerTravel => pick("N m/rad", "N/m"),
+            Dimension::ForcePerAcceleration => pick("kg m^2", "kg"),
+            Dimension::Speed => pick("rad/s", "m/s"),
+            Dimension::Travel => pick("rad", "m"),
+            Dimension::TravelPerForce => pick("rad/(N m)", "m/N"),
+            Dimension::PerTravel => pick("1", "rad/m"),
+            Dimension::Angle => "rad",
+            Dimension::Spin => "rad/s",
+            Dimension::Length => "m",
+            Dimension::Mass => "kg",
+            Dimension::Time => "s",
+            Dimension::Share => "1",
+        }
+    }
+
+    /// The size that 1 stands for in its range and grid.
+    pub fn scale(&self, scales: &Scales) -> f64 {
+        let Scales {
+            force,
+            speed,
+            travel,
+            acceleration,
+            length,
+            mass,
+            ..
+        } = *scales;
+        match self.dimension {
+            Dimension::Force => force,
+            Dimension::ForcePerSpeed => force / speed,
+            Dimension::ForcePerSpeedSquared => force / (speed * speed),
+            Dimension::ForcePerTravel => force / travel,
+            Dimension::ForcePerAcceleration => force / acceleration,
+            Dimension::Speed => speed,
+            Dimension::Travel => travel,
+            Dimension::TravelPerForce => travel / force,
+            Dimension::PerTravel => 1.0 / travel,
+            Dimension::Length => length,
+            Dimension::Mass => mass,
+            Dimension::Angle | Dimension::Spin | Dimension::Time | Dimension::Share => 1.0,
+        }
+    }
+
+    /// A size to test for: the geometric mean of the range; of a shape the first of its grid.
+    pub fn typical(&self, scales: &Scales) -> f64 {
+        let multiple = match self.role {
+            Role::Shape(grid) | Role::Threshold(grid) => grid[0],
+            Role::Switch => 1.0,
+            Role::Amplitude | Role::Companion => (self.low * self.high).sqrt(),
+        };
+        multiple * self.scale(scales)
+    }
+
+    /// The values of its grid; empty if it has none.
+    pub fn grid(&self, scales: &Scales) -> Vec<f64> {
+        match self.role {
+            Role::Shape(grid) | Role::Threshold(grid) => {
+                grid.iter().map(|x| x * self.scale(scales)).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// Whether the effect is absent where it and its like are 0.
+    pub fn is_size(&self) -> bool {
+        matches!(
+            self.role,
+            Role::Amplitude | Role::Threshold(_) | Role::Switch
+        )
+    }
+}
+
+/// Sizes that are usual at a place of a machine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scales {
+    /// force or torque, N m or N
+    pub force: f64,
+    /// speed, rad/s or m/s
+    pub speed: f64,
+    /// range of motion, rad or m
+    pub travel: f64,
+    /// acceleration, rad/s² or m/s²
+    pub acceleration: f64,
+    /// length, m
+    pub length: f64,
+    /// mass, kg
+    pub mass: f64,
+    /// whether the joint is a slide
+    pub slide: bool,
+}
+
+/// Part of a motor's greatest force that it needs most of the time.
+const USUAL_LOAD: f64 = 0.1;
+/// Rad of travel of a hinge without limits.
+const HINGE_TRAVEL: f64 = 1.0;
+/// m of travel of a slide without limits.
+const SLIDE_TRAVEL: f64 = 0.2;
+/// 1/s: travels in a second, and speeds reached in a second.
+const RATES: [f64; 2] = [1.0, 6.0];
+/// m: a hand's machine.
+const LENGTH: f64 = 0.1;
+/// N and N m of sensors at fingertips.
+const READING: [f64; 2] = [1.0, 0.01];
+
+impl Scales {
+    /// What the model alone lets expect; what is measured on the machine is better.
+    pub fn of(model: &Model, place: &Place) -> Self {
+        let joint = place.joint(model);
+        let slide = joint.is_some_and(|j| model.is_slide(j) == Some(true));
+        let range = joint.filter(|j| model.jnt_limited()[*j] != 0);
+        let travel = match range {
+            Some(j) => model.jnt_range()[2 * j + 1] - model.jnt_range()[2 * j],
+            None if slide => SLIDE_TRAVEL,
+            None => HINGE_TRAVEL,
+        };
+        let speed = RATES[0] * travel;
+        let acceleration = RATES[1] * speed;
+        let inertia = joint.map_or(1.0, |j| model.dof_M0()[dofs(model, j).start]);
+        let force = match (place.kind, joint) {
+            (PlaceKind::Sensor, _) => READING[usize::from(place.unit(model) == Some("N m"))],
+            (_, Some(j)) => {
+                capacity(model, j).map_or(inertia * acceleration, |most| USUAL_LOAD * most)
+            }
+            _ => 1.0,
+        };
+        let body = place.body(model);
+        let mass = body.map_or(model.total_mass(), |b| model.body_subtreemass()[b]);
+        Self {
+            force,
+            speed,
+            travel,
+            acceleration,
+            length: LENGTH,
+            mass,
+            slide,
+        }
+    }
+}
+
+/// The greatest force that motors can give a joint.
+fn capacity(model: &Model, joint: usize) -> Option<f64> {
+    let name = model.name(ObjectKind::Joint, joint)?;
+    (0..model.nu())
+        .filter(|&u| super::place::joint_of(model, u).as_deref() == Some(name))
+        .filter_map(|u| super::drive::full_torque(model, u))
+        .reduce(f64::max)
+}

@@ -1,0 +1,96 @@
+//! What is between motors and joints.
+
+use super::place::{Site, joint_motors};
+use super::{About, Dimension, Effect, Expression, Neighbour, Parameter, Place, Shows};
+use crate::mujoco::Model;
+
+/// Play.
+#[derive(Debug)]
+pub(super) struct Backlash;
+
+impl Effect for Backlash {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "backlash",
+            law: "play p between motor and joint",
+            shows: Shows::Reading,
+            signature: "p/2 sgn(u): the encoder jumps where the torque reverses, and no torque passes meanwhile",
+            parameters: &[Parameter::amplitude(
+                "play",
+                Dimension::Travel,
+                [5e-4, 0.02],
+            )],
+            neighbours: &[
+                Neighbour {
+                    name: "transmission_compliance",
+                    split: "light and heavy loads: play does not grow",
+                },
+                Neighbour {
+                    name: "coulomb_friction",
+                    split: "reversals without load",
+                },
+                Neighbour {
+                    name: "stribeck_friction",
+                    split: "reversals without load",
+                },
+            ],
+            behaviours: &["reversals", "postures"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        joint_motors(model)
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        Ok(Expression::supplement("backlash", &site.place.name, values))
+    }
+}
+
+/// Stretch.
+#[derive(Debug)]
+pub(super) struct Compliance;
+
+impl Effect for Compliance {
+    fn about(&self) -> &'static About {
+        const ABOUT: About = About {
+            name: "transmission_compliance",
+            law: "spring 1/c between motor and joint",
+            shows: Shows::Reading,
+            signature: "c u: the encoder runs ahead of the joint in proportion to the torque",
+            parameters: &[
+                Parameter::amplitude("compliance", Dimension::TravelPerForce, [1e-4, 0.01]),
+                Parameter::shape("damping_ratio", Dimension::Share, &[0.3], [0.05, 0.95]),
+            ],
+            neighbours: &[
+                Neighbour {
+                    name: "backlash",
+                    split: "light and heavy loads: play does not grow",
+                },
+                Neighbour {
+                    name: "encoder_scale",
+                    split: "the same angle under different loads",
+                },
+                Neighbour {
+                    name: "contact_stiffness",
+                    split: "pushing against something hard",
+                },
+            ],
+            behaviours: &["press", "postures", "chirp"],
+        };
+        &ABOUT
+    }
+
+    fn places(&self, model: &Model) -> Vec<Place> {
+        joint_motors(model)
+    }
+
+    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        Ok(Expression::supplement(
+            "transmission_compliance",
+            &site.place.name,
+            values,
+        ))
+    }
+}
