@@ -102,23 +102,29 @@ fn describe(parameters: &[&Parameter], direction: &[f64]) -> Combination {
 
 fn pair(a: (&Parameter, f64), b: (&Parameter, f64)) -> String {
     let names = format!("{} and {}", words(a.0), words(b.0));
-    let both = |scale| a.0.scale == scale && b.0.scale == scale;
-    // of linear parameters the change in their own unit counts
-    let (da, db) = if both(Scale::Linear) {
-        (a.1 * a.0.typical, b.1 * b.0.typical)
+    let alike = |x: f64, y: f64| (x.abs() / y.abs()).ln().abs() < EQUAL;
+    let (da, db) = (a.1 * a.0.typical, b.1 * b.0.typical); // in units, where linear
+    let kind = if a.0.scale == Scale::Linear && b.0.scale == Scale::Linear && alike(da, db) {
+        if da * db > 0.0 { "difference" } else { "sum" }
+    } else if alike(a.1, b.1) && relative(a.0) && relative(b.0) {
+        if sign(a) * sign(b) > 0.0 { "ratio" } else { "product" }
     } else {
-        (a.1, b.1)
-    };
-    let equal = (da.abs() / db.abs()).ln().abs() < EQUAL;
-    let same = da * db > 0.0;
-    let kind = match (both(Scale::Log), both(Scale::Linear), equal, same) {
-        (true, _, true, true) => "ratio",
-        (true, _, true, false) => "product",
-        (_, true, true, true) => "difference",
-        (_, true, true, false) => "sum",
-        _ => return several(&[a, b]),
+        return several(&[a, b]);
     };
     format!("{names} only as a {kind}")
+}
+
+/// Whether a change by the parameter's size is one by its own value.
+fn relative(p: &Parameter) -> bool {
+    p.scale == Scale::Log || p.start.abs() >= p.typical
+}
+
+/// Whether the magnitude grows along the direction.
+fn sign((p, weight): (&Parameter, f64)) -> f64 {
+    match p.scale {
+        Scale::Log => weight,
+        Scale::Linear => weight * p.start,
+    }
 }
 
 /// What makes up for what.
@@ -167,16 +173,15 @@ mod tests {
 
     fn parameters() -> Parameters {
         let model = Model::from_xml_str(MODEL).expect("loads");
-        let log = |element: &str, attribute: &str| ParameterRule {
-            scale: Some(Scale::Log),
+        let rule = |element: &str, attribute: &str| ParameterRule {
             components: if attribute == "gear" { vec![0] } else { vec![] },
             ..ParameterRule::new(element, attribute)
         };
         let rules = [
-            log("body/a", "mass"),
-            log("body/b", "mass"),
-            log("actuator/m", "gear"),
-            log("joint/*", "damping"),
+            rule("body/a", "mass"),
+            rule("body/b", "mass"),
+            rule("actuator/m", "gear"),
+            rule("joint/*", "damping"),
             ParameterRule {
                 components: vec![0, 1],
                 ..ParameterRule::new("body/b", "pos")
