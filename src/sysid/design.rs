@@ -97,7 +97,12 @@ pub fn information(
             *sigma = level * scale;
         }
     }
-    let mut levels: Vec<f64> = settings.levels.iter().copied().filter(|l| *l > level).collect();
+    let mut levels: Vec<f64> = settings
+        .levels
+        .iter()
+        .copied()
+        .filter(|l| *l > level)
+        .collect();
     levels.push(level);
     let settings = JointSettings {
         levels,

@@ -221,22 +221,19 @@ impl Spread {
             (size(i) / free[open[i]].prior_sigma).powi(2) + LEAST_INFORMATION
         });
         let inverse = inverse(&(&a + DMatrix::from_diagonal(&prior)));
-        // the influence of each knot on each parameter, H⁻¹ g
-        let influence: Vec<Vec<f64>> = scores
+        let scaled: Vec<Vec<f64>> = scores
             .iter()
             .map(|trial| {
-                let mut out = Vec::with_capacity(trial.len() / n.max(1) * m);
-                for row in trial.chunks_exact(n.max(1)) {
-                    let g = DVector::from_fn(m, |i, _| row[open[i]] * size(i));
-                    out.extend_from_slice((&inverse * g).as_slice());
-                }
-                out
+                let rows = trial.chunks_exact(n.max(1));
+                rows.flat_map(|row| (0..m).map(|i| row[open[i]] * size(i)))
+                    .collect()
             })
             .collect();
-        let spectrum = Spectrum::new(&Trials {
+        let of_scores = Spectrum::new(&Trials {
             columns: m,
-            series: influence.iter().map(Vec::as_slice).collect(),
+            series: scaled.iter().map(Vec::as_slice).collect(),
         });
+        let spectrum = of_scores.times(&inverse);
         let by_prior = &inverse * DMatrix::from_diagonal(&prior) * &inverse;
         let white = &inverse * &a * &inverse;
         let (mut sigma, mut dof, mut inflation) = (Vec::new(), Vec::new(), Vec::new());
@@ -268,8 +265,15 @@ impl Spread {
                 correlation * sigma[i] * sigma[j]
             }
         });
+        // of the scores, as estimates mix what is known well with what is not known at all
+        let score_inflation: Vec<f64> = (0..m)
+            .map(|i| {
+                let white = a[(i, i)].max(f64::MIN_POSITIVE);
+                (of_scores.long_run(i).variance / white).max(LEAST_INFLATION)
+            })
+            .collect();
         let robust_information = DMatrix::from_fn(m, m, |i, j| {
-            a[(i, j)] / (inflation[i] * inflation[j]).sqrt().max(1e-12)
+            a[(i, j)] / (score_inflation[i] * score_inflation[j]).sqrt()
         });
         Self {
             covariance,

@@ -17,6 +17,8 @@
 
 use std::f64::consts::PI;
 
+use nalgebra::{DMatrix, DVector};
+
 use super::student::f_quantile;
 
 /// Least number of samples of the spectrum.
@@ -104,6 +106,17 @@ impl Spectrum {
         }
         ordinates.sort_by(|a, b| a.frequency.total_cmp(&b.frequency));
         Self { ordinates }
+    }
+
+    /// The spectrum of the columns times a matrix (columns × columns).
+    pub(super) fn times(&self, matrix: &DMatrix<f64>) -> Self {
+        let ordinates = self.ordinates.iter().map(|o| Ordinate {
+            value: (matrix * DVector::from_column_slice(&o.value)).data.into(),
+            ..*o
+        });
+        Self {
+            ordinates: ordinates.collect(),
+        }
     }
 
     /// Degrees of freedom of the first `n`.

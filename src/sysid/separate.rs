@@ -107,7 +107,11 @@ fn pair(a: (&Parameter, f64), b: (&Parameter, f64)) -> String {
     let kind = if a.0.scale == Scale::Linear && b.0.scale == Scale::Linear && alike(da, db) {
         if da * db > 0.0 { "difference" } else { "sum" }
     } else if alike(a.1, b.1) && relative(a.0) && relative(b.0) {
-        if sign(a) * sign(b) > 0.0 { "ratio" } else { "product" }
+        if sign(a) * sign(b) > 0.0 {
+            "ratio"
+        } else {
+            "product"
+        }
     } else {
         return several(&[a, b]);
     };

@@ -154,8 +154,13 @@ fn coverage_of_intervals_over_many_repetitions() {
     for (force, correlation_s) in [(1e-6, 0.05), (0.02, 0.004), (0.02, 0.05), (0.02, 0.2)] {
         for (trials, seconds) in [(1, 4.0), (5, 2.0)] {
             println!("force {force} N m over {correlation_s} s, {trials} trials of {seconds} s");
-            let noise = Noise { force, correlation_s };
-            let n = std::env::var("PHANTOM_REPETITIONS").ok().and_then(|n| n.parse().ok());
+            let noise = Noise {
+                force,
+                correlation_s,
+            };
+            let n = std::env::var("PHANTOM_REPETITIONS")
+                .ok()
+                .and_then(|n| n.parse().ok());
             coverage(n.unwrap_or(200), trials, seconds, noise);
         }
     }

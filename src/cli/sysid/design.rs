@@ -191,10 +191,11 @@ impl DesignArgs {
 
     fn print(&self, problem: &Problem, plan: &Plan) -> Result<(), CliError> {
         if self.json {
-            let text = serde_json::to_string_pretty(&json!(plan)).map_err(|error| CliError::File {
-                file: "--json".into(),
-                reason: error.to_string(),
-            })?;
+            let text =
+                serde_json::to_string_pretty(&json!(plan)).map_err(|error| CliError::File {
+                    file: "--json".into(),
+                    reason: error.to_string(),
+                })?;
             println!("{text}");
             return Ok(());
         }
