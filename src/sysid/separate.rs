@@ -107,7 +107,7 @@ fn pair(a: (&Parameter, f64), b: (&Parameter, f64)) -> String {
     let kind = if a.0.scale == Scale::Linear && b.0.scale == Scale::Linear && alike(da, db) {
         if da * db > 0.0 { "difference" } else { "sum" }
     } else if alike(a.1, b.1) && relative(a.0) && relative(b.0) {
-        if sign(a) * sign(b) > 0.0 {
+        if growth(a) * growth(b) > 0.0 {
             "ratio"
         } else {
             "product"
@@ -123,26 +123,24 @@ fn relative(p: &Parameter) -> bool {
     p.scale == Scale::Log || p.start.abs() >= p.typical
 }
 
-/// Whether the magnitude grows along the direction.
-fn sign((p, weight): (&Parameter, f64)) -> f64 {
+/// Part by which the magnitude grows along the direction.
+fn growth((p, weight): (&Parameter, f64)) -> f64 {
     match p.scale {
         Scale::Log => weight,
-        Scale::Linear => weight * p.start,
+        Scale::Linear => weight * p.start.signum(),
     }
 }
 
 /// What makes up for what.
 fn several(parts: &[(&Parameter, f64)]) -> String {
-    let change = |(p, v): &(&Parameter, f64), base: f64| match p.scale {
-        Scale::Log => format!("{} {:+.0} %", words(p), 10.0 * v / base),
-        Scale::Linear => format!(
-            "{} {:+.2e} {}",
-            words(p),
-            0.1 * v / base * p.typical,
-            p.unit
-        )
-        .trim_end()
-        .to_owned(),
+    let change = |part: &(&Parameter, f64), base: f64| {
+        let (p, part) = (part.0, 0.1 * part.1 / base);
+        if relative(p) {
+            format!("{} {:+.0} %", words(p), 100.0 * growth((p, part)))
+        } else {
+            let text = format!("{} {:+.2e} {}", words(p), part * p.typical, p.unit);
+            text.trim_end().to_owned()
+        }
     };
     let base = parts[0].1;
     let others: Vec<String> = parts[1..].iter().map(|p| change(p, base)).collect();
@@ -207,7 +205,7 @@ mod tests {
     fn says_what_is_known_only_together() {
         // mass a / gear, mass b · damping ja, position difference, nothing of damping jb
         let texts = of(&[
-            [1., 0., -1., 0., 0., 0., 0.],
+            [1., 0., -0.5, 0., 0., 0., 0.],
             [0., 1., 0., 1., 0., 0., 0.],
             [0., 0., 0., 0., 0., 1., -1.],
         ]);
@@ -240,7 +238,10 @@ mod tests {
             ["a change of mass of a +10 % is made up for by mass of b -20 %"]
         );
         // two of three: they grow together
-        let texts = every(&[[1., -1., 0., 0., 0., 0., 0.], [0., 1., -1., 0., 0., 0., 0.]]);
+        let texts = every(&[
+            [1., -1., 0., 0., 0., 0., 0.],
+            [0., 1., -0.5, 0., 0., 0., 0.],
+        ]);
         assert_eq!(
             texts,
             [

@@ -118,6 +118,59 @@ fn repetition(seed: u64, trials: u64, seconds: f64, noise: Noise) -> [(f64, bool
     })
 }
 
+fn show(n: u64, trials: u64, seconds: f64, noise: Noise) {
+    let nominal = Arc::new(model([0.06, 0.04, 0.5, 0.012]));
+    for seed in 0..n {
+        let began = std::time::Instant::now();
+        let recordings: Vec<(String, Recording)> = (0..trials)
+            .map(|t| (t.to_string(), record(seed, t, seconds, noise)))
+            .collect();
+        let problem = Problem::new(nominal.clone(), &config(), &recordings).expect("fits");
+        let start = Start {
+            x: problem.parameters.start(),
+            trajectories: None,
+            force_scale: None,
+        };
+        let fit =
+            solve(&problem, &JointSettings::default(), &start, &mut |_| true).expect("solved");
+        let lengths: Vec<usize> = problem.trials.iter().map(|t| t.n_knots).collect();
+        let post = Posterior::new(&problem.parameters, &fit.x, &fit.innovations, &lengths);
+        print!(
+            "{seed} {:.1}s {:?} it {} level {:.0e} ",
+            began.elapsed().as_secs_f64(),
+            fit.status,
+            fit.history.len(),
+            fit.level
+        );
+        for (i, e) in post.estimates.iter().enumerate() {
+            print!(
+                " | {:+.3} s {:.3} dof {:.0} infl {:.2}",
+                (e.value / TRUTH[i]).ln(),
+                e.x_sigma.unwrap(),
+                e.dof.unwrap(),
+                e.inflation.unwrap()
+            );
+        }
+        println!();
+    }
+}
+
+#[test]
+#[ignore]
+fn show_it() {
+    for (force, correlation_s) in [(1e-6, 0.05), (0.02, 0.05)] {
+        show(
+            8,
+            1,
+            4.0,
+            Noise {
+                force,
+                correlation_s,
+            },
+        );
+    }
+}
+
 fn coverage(n: u64, trials: u64, seconds: f64, noise: Noise) -> [f64; 4] {
     let all: Vec<_> = (0..n)
         .into_par_iter()
