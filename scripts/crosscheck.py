@@ -341,7 +341,9 @@ class Batch:
     """The usable trajectories of an update, as arrays over trajectory, time, component."""
 
     def __init__(self, update):
-        used = [t for t in update["trajectories"] if not t["diverged"]]
+        # their indices among all, the broken ones counted: these say who is even and who is odd
+        self.index = np.array([i for i, t in enumerate(update["trajectories"]) if not t["diverged"]])
+        used = [update["trajectories"][i] for i in self.index]
         n, m = update["policy"]["n_observation"], update["policy"]["n_action"]
         self.horizon, self.n, self.m = update["horizon"], n, m
         self.rewards = np.array([t["rewards"] for t in used])
@@ -375,10 +377,10 @@ def fit_values(batch, previous, config):
     with np.errstate(divide="ignore"):
         shape = ValueFunction(mean, np.where(deviation > 0, 1 / deviation, 0), [])
     stride = config["value_stride"]
-    picked = [(i, t) for i in range(batch.count) for t in range(i // 2 % stride, length, stride)]
+    picked = [(i, t) for i, k in enumerate(batch.index) for t in range(k // 2 % stride, length, stride)]
     fits = []
     for choice in (lambda i: True, lambda i: i % 2 == 1, lambda i: i % 2 == 0):
-        index = tuple(np.array([pair for pair in picked if choice(pair[0])]).T)
+        index = tuple(np.array([pair for pair in picked if choice(batch.index[pair[0]])]).T)
         sample = batch.inputs[index], batch.times[index[1]], targets[index]
         fits.append(ValueFunction.fitted(shape, *sample, config["value_ridge"]))
         if len(fits) == 1:
@@ -507,7 +509,7 @@ def compare_update(update, table, cases=None):
                      [explained, 1], 1e-9)
 
         crossed = config["value_from"] == "crossed"
-        raw = advantages_of(batch, lambda i: fits[1 + i % 2] if crossed else previous, config)
+        raw = advantages_of(batch, lambda i: fits[1 + batch.index[i] % 2] if crossed else previous, config)
         limit = config["advantage_clip"]
         middle, width = robust_moments(raw, max(limit, 3))
         normal = (raw - middle) / width
@@ -517,7 +519,7 @@ def compare_update(update, table, cases=None):
         table.errors(f"{label}: clipped share", case["clipped_share"] - np.mean(np.abs(normal) > limit), 1e-12)
 
         # of even and odd trajectories apart, both divided by the size of the whole batch
-        parity = np.repeat(np.arange(batch.count) % 2, batch.length)
+        parity = np.repeat(batch.index % 2, batch.length)
         halves = [(advantages.ravel() * (parity == half)) @ scores / len(scores) for half in (0, 1)]
         gradient = halves[0] + halves[1]
         table.arrays(f"{label}: gradient", case["gradient"], gradient, 1e-8)

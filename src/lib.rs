@@ -37,4 +37,5 @@ pub mod rng;
 pub mod rollout;
 pub mod run_dir;
 pub mod task;
+pub mod team;
 pub mod train;

@@ -115,40 +115,18 @@ impl CliError {
     /// The engine's error at the bottom, if that is what it is.
     fn engine(&self) -> Option<&MujocoError> {
         match self {
-            Self::Mujoco(engine)
-            | Self::Train(TrainError::Mujoco(engine))
-            | Self::Compare(CompareError::Mujoco(engine)) => Some(engine),
+            Self::Mujoco(engine) | Self::Compare(CompareError::Mujoco(engine)) => Some(engine),
             Self::Rig { source, .. } => match source {
                 RigError::Mujoco(engine) => Some(engine),
-                RigError::Task(error) => of_task(error),
-                RigError::Randomise(error) => of_randomise(error),
+                RigError::Task(error) => error.engine(),
+                RigError::Randomise(error) => error.engine(),
                 _ => None,
             },
-            Self::Task(error) | Self::Train(TrainError::Task(error)) => of_task(error),
-            Self::Randomise(error) | Self::Train(TrainError::Randomise(error)) => {
-                of_randomise(error)
-            }
-            Self::Rollout(error) | Self::Train(TrainError::Rollout(error)) => match error {
-                RolloutError::Mujoco(engine) => Some(engine),
-                RolloutError::Task(error) => of_task(error),
-                RolloutError::Randomise(error) => of_randomise(error),
-                _ => None,
-            },
+            Self::Task(error) => error.engine(),
+            Self::Randomise(error) => error.engine(),
+            Self::Rollout(error) => error.engine(),
+            Self::Train(error) => error.engine(),
             _ => None,
         }
-    }
-}
-
-fn of_task(error: &TaskError) -> Option<&MujocoError> {
-    match error {
-        TaskError::Mujoco(engine) => Some(engine),
-        _ => None,
-    }
-}
-
-fn of_randomise(error: &RandomiseError) -> Option<&MujocoError> {
-    match error {
-        RandomiseError::Mujoco(engine) => Some(engine),
-        RandomiseError::Rule { .. } => None,
     }
 }

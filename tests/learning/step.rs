@@ -11,6 +11,7 @@ use phantom::policy::AffineGaussian;
 use phantom::rng::Stream;
 use phantom::rollout::{Diverged, ModelDraw, Start, Trajectory};
 use phantom::task::ObservationGroup;
+use phantom::team::Deal;
 
 const HORIZON: usize = 20;
 
@@ -41,7 +42,16 @@ fn update(
         columns: 0..1,
     }];
     let mut baseline = Baseline::zero(policy.n_observation());
-    npg::update(policy, &mut baseline, batch, HORIZON, &groups, config)
+    let deal = Deal::alone(batch.len());
+    npg::update(
+        policy,
+        &mut baseline,
+        batch,
+        &deal,
+        HORIZON,
+        &groups,
+        config,
+    )
 }
 
 /// The change of θ from one update of a fresh policy.
@@ -212,8 +222,14 @@ fn broken_down_trajectories_take_no_part() {
         mocap_pos: vec![],
         actions: vec![],
     });
-    bad.insert(31, broken.clone());
+    // at the end: the others keep their indices, which decide about halves and order
+    bad.push(broken.clone());
     assert_eq!(change(&good, &white()), change(&bad, &white()));
+    // in their midst: whatever it holds
+    let (mut one, mut other) = (good.clone(), good);
+    one[31] = broken.clone();
+    other[31].diverged.clone_from(&broken.diverged);
+    assert_eq!(change(&one, &white()), change(&other, &white()));
     let error = update(&mut fresh.clone(), &[broken], &white()).expect_err("nothing left");
     assert_eq!(error.to_string(), "all 1 trajectories diverged");
 }
