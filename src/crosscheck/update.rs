@@ -157,7 +157,8 @@ pub fn record(root: &Path, seed: u64) -> Result<UpdateRecord, TrainError> {
     })
 }
 
-/// Both metrics with both value functions, and one step so long that clipping, floor and step control all act.
+/// Both metrics with both value functions, white noise, the worst trajectories alone, and one step so long that clipping,
+/// floor and step control all act.
 fn settings(base: &NpgConfig) -> Vec<NpgConfig> {
     let mut settings = Vec::new();
     for fisher in [FisherMode::Exact, FisherMode::Empirical] {
@@ -172,6 +173,10 @@ fn settings(base: &NpgConfig) -> Vec<NpgConfig> {
     // white noise, as far as the update is concerned
     settings.push(NpgConfig {
         noise_correlation: 0.0,
+        ..base.clone()
+    });
+    settings.push(NpgConfig {
+        epopt_epsilon: 0.3,
         ..base.clone()
     });
     settings.push(NpgConfig {
