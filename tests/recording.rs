@@ -375,6 +375,21 @@ fn without_checksums() -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
+#[test]
+fn a_text_longer_than_its_record_reserves_nothing() {
+    let bytes = std::fs::read(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/recording/long_text.mcap"),
+    );
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("log.mcap");
+    std::fs::write(&file, &bytes.expect("read")[1..]).expect("written");
+    let error = recording::read(&file).expect_err("damaged").to_string();
+    assert!(
+        error.contains("a text is longer than its record"),
+        "{error}"
+    );
+}
+
 /// The corpus of the fuzzer: a byte for the ending, then the file.
 #[test]
 fn the_corpus_is_read_or_refused() {

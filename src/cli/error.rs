@@ -14,6 +14,7 @@ use crate::report::ReportError;
 use crate::rig::RigError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
+use crate::sysid::SysidError;
 use crate::task::TaskError;
 use crate::train::TrainError;
 use crate::train::config::SettingError;
@@ -88,6 +89,9 @@ pub enum CliError {
     /// Model and recordings cannot be compared.
     #[error(transparent)]
     Compare(#[from] CompareError),
+    /// A model cannot be identified.
+    #[error(transparent)]
+    Sysid(#[from] SysidError),
     /// A report cannot be made.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -115,7 +119,9 @@ impl CliError {
     /// The engine's error at the bottom, if that is what it is.
     fn engine(&self) -> Option<&MujocoError> {
         match self {
-            Self::Mujoco(engine) | Self::Compare(CompareError::Mujoco(engine)) => Some(engine),
+            Self::Mujoco(engine)
+            | Self::Compare(CompareError::Mujoco(engine))
+            | Self::Sysid(SysidError::Mujoco(engine)) => Some(engine),
             Self::Rig { source, .. } => match source {
                 RigError::Mujoco(engine) => Some(engine),
                 RigError::Task(error) => error.engine(),

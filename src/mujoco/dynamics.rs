@@ -58,6 +58,43 @@ impl Data {
         self.call(|m, d| unsafe { ffi::mj_inverse(m, d) })
     }
 
+    /// Inverse dynamics after [`Data::position_stage`] and [`Data::velocity_stage`]: `qfrc_inverse` from qacc, and with
+    /// `sensors` the acceleration-dependent part of `sensordata`.
+    ///
+    /// # Errors
+    /// [`MujocoError::NotFinite`] for NaN in qacc; as [`Data::forward`].
+    pub fn inverse_of_acceleration(&mut self, sensors: bool) -> Result<()> {
+        check("qacc", self.qacc())?;
+        let skip_stage = ffi::mjtStage_::mjSTAGE_VEL as i32;
+        let skip_sensor = i32::from(!sensors);
+        // SAFETY: invariants 2 and 5; the skipped stages were computed by the calls named above.
+        self.call(|m, d| unsafe { ffi::mj_inverseSkip(m, d, skip_stage, skip_sensor) })
+    }
+
+    /// Forces of the actuators into `qfrc_actuator` from ctrl and act, and `act_dot`; after
+    /// [`Data::velocity_stage`].
+    ///
+    /// # Errors
+    /// [`MujocoError::NotFinite`] for NaN in ctrl or act; as [`Data::forward`].
+    pub fn actuation(&mut self) -> Result<()> {
+        check("ctrl", self.ctrl())?;
+        check("act", self.act())?;
+        // SAFETY: invariant 2.
+        self.call(|m, d| unsafe { ffi::mj_fwdActuation(m, d) })
+    }
+
+    /// Solves M x = y (nv each) with the inertia of the last position stage.
+    ///
+    /// # Errors
+    /// [`MujocoError::Length`]; as [`Data::forward`].
+    pub fn solve_mass_matrix(&mut self, x: &mut [f64], y: &[f64]) -> Result<()> {
+        length("the solution", self.model().nv(), x)?;
+        length("the right-hand side", self.model().nv(), y)?;
+        let (x, y) = (x.as_mut_ptr(), y.as_ptr());
+        // SAFETY: one vector of nv each, which do not overlap.
+        self.call(|m, d| unsafe { ffi::mj_solveM(m, d, x, y, 1) })
+    }
+
     /// Kinematics, inertia, collisions, constraint Jacobian: all that depends on position alone.
     ///
     /// # Errors

@@ -12,15 +12,19 @@
 //! distribution = { normal = 0.005 }
 //! ```
 
+mod ensemble;
 mod resolve;
-
-pub(crate) use resolve::glob_matches;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+pub use ensemble::Ensemble;
+
+use crate::mjcf::attribute::bounding_radius;
+use crate::mjcf::edit::SURFACE;
 use crate::mujoco::{Data, Model, ModelEdit, MujocoError};
 use crate::rng::{self, Stream};
+use ensemble::Entry;
 
 /// What can be wrong with a rule.
 #[derive(Debug, Error)]
@@ -39,6 +43,12 @@ pub enum RandomiseError {
         /// what is wrong
         reason: String,
     },
+    /// The ensemble does not fit this model.
+    #[error("ensemble: {reason}")]
+    Ensemble {
+        /// what is wrong
+        reason: String,
+    },
 }
 
 impl RandomiseError {
@@ -46,7 +56,7 @@ impl RandomiseError {
     pub fn engine(&self) -> Option<&MujocoError> {
         match self {
             Self::Mujoco(engine) => Some(engine),
-            Self::Rule { .. } => None,
+            Self::Rule { .. } | Self::Ensemble { .. } => None,
         }
     }
 }
@@ -105,24 +115,6 @@ struct Slot {
     nominal: f64,
 }
 
-/// Arrays no derived constant depends on. Nor does one on `body_pos` of a body fixed to the world: moving a whole
-/// mechanism changes no inertia.
-const SURFACE: [&str; 6] = [
-    "geom_friction",
-    "geom_solref",
-    "geom_solimp",
-    "pair_friction",
-    "pair_solref",
-    "pair_solimp",
-];
-
-// `mjtGeom` of the engine's model format
-const SPHERE: i32 = 2;
-const CAPSULE: i32 = 3;
-const ELLIPSOID: i32 = 4;
-const CYLINDER: i32 = 5;
-const BOX: i32 = 6;
-
 #[derive(Debug, Clone)]
 struct Target {
     slot: Slot,
@@ -159,6 +151,9 @@ pub struct Randomiser {
     inertial: bool,
     /// geoms whose size is drawn: their bounding radius, which the engine only computes when it compiles, follows
     resized: Vec<usize>,
+    /// numbers of the ensemble, and a row of values a model
+    entries: Vec<Entry>,
+    models: Vec<Vec<f64>>,
 }
 
 impl Randomiser {
@@ -190,7 +185,29 @@ impl Randomiser {
             targets,
             inertial,
             resized,
+            ..Self::default()
         })
+    }
+
+    /// Also take a row of `ensemble` for each draw, before the rules act.
+    ///
+    /// # Errors
+    /// A table that is not whole, or was drawn for another model.
+    pub fn with_ensemble(
+        mut self,
+        model: &Model,
+        ensemble: &Ensemble,
+    ) -> Result<Self, RandomiseError> {
+        self.entries = ensemble
+            .resolve(model)
+            .map_err(|reason| RandomiseError::Ensemble { reason })?;
+        self.inertial |= self
+            .entries
+            .iter()
+            .filter_map(|entry| entry.array())
+            .any(|array| !SURFACE.contains(&array) && array != "geom_rbound");
+        self.models.clone_from(&ensemble.models);
+        Ok(self)
     }
 
     /// Draw every target from its nominal value into the model of `data`, which should be reset afterwards.
@@ -198,14 +215,22 @@ impl Randomiser {
     /// # Errors
     /// When the engine refuses the drawn model.
     pub fn draw(&self, data: &mut Data, rng: &mut Stream) -> Result<(), RandomiseError> {
-        if self.targets.is_empty() {
+        if self.targets.is_empty() && self.models.is_empty() {
             return Ok(());
         }
+        // no random number is used up where there is no ensemble: older runs keep their bits
+        let row = (!self.models.is_empty()).then(|| {
+            let at = rng::uniform(rng, 0.0, self.models.len() as f64) as usize;
+            &self.models[at.min(self.models.len() - 1)]
+        });
         data.edit_model(|edit| {
             for target in &self.targets {
                 for slot in std::iter::once(&target.slot).chain(&target.followers) {
                     slot.set(edit, slot.nominal);
                 }
+            }
+            for (entry, value) in self.entries.iter().zip(row.into_iter().flatten()) {
+                entry.set(edit, *value);
             }
             for target in &self.targets {
                 let around = target.slot.get(edit);
@@ -241,18 +266,5 @@ impl Slot {
         if let Some(array) = edit.numeric_field_mut(self.array) {
             array[self.index] = value;
         }
-    }
-}
-
-/// Radius of the smallest sphere about its centre that holds a geom; `None` for shapes not made of `size`.
-pub(crate) fn bounding_radius(model: &Model, geom: usize) -> Option<f64> {
-    let size = &model.geom_size()[3 * geom..3 * geom + 3];
-    match model.geom_type()[geom] {
-        SPHERE => Some(size[0]),
-        CAPSULE => Some(size[0] + size[1]),
-        ELLIPSOID => Some(size[0].max(size[1]).max(size[2])),
-        CYLINDER => Some(size[0].hypot(size[1])),
-        BOX => Some(size[0].hypot(size[1]).hypot(size[2])),
-        _ => None,
     }
 }

@@ -1,6 +1,8 @@
 //! From the words of a rule to numbers of a model.
 
-use super::{Distribution, Rule, Slot, Target, bounding_radius};
+use super::{Distribution, Rule, Slot, Target};
+use crate::mjcf::attribute::bounding_radius;
+use crate::mjcf::glob;
 use crate::mujoco::{Model, ObjectKind};
 
 /// Where an attribute of an element lives in `mjModel`.
@@ -119,7 +121,7 @@ pub(super) fn resolve(model: &Model, rule: &Rule, targets: &mut Vec<Target>) -> 
     for id in 0..model.count(attribute.object) {
         if !model
             .name(attribute.object, id)
-            .is_some_and(|name| glob_matches(glob, name))
+            .is_some_and(|name| glob::matches(glob, name))
         {
             continue;
         }
@@ -190,46 +192,4 @@ fn array_rows(model: &Model, attribute: &Attribute, id: usize) -> std::ops::Rang
         .get(id + 1)
         .map_or(model.nv(), |&adr| adr as usize);
     first..next
-}
-
-/// Whether `name` matches a glob of literal characters, `*` (any run) and `?` (any one character).
-pub(crate) fn glob_matches(glob: &str, name: &str) -> bool {
-    match glob.chars().next() {
-        None => name.is_empty(),
-        Some('*') => {
-            let rest = &glob[1..];
-            name.char_indices()
-                .map(|(i, _)| i)
-                .chain([name.len()])
-                .any(|i| glob_matches(rest, &name[i..]))
-        }
-        Some(first) => {
-            let mut characters = name.chars();
-            characters
-                .next()
-                .is_some_and(|c| first == '?' || first == c)
-                && glob_matches(&glob[first.len_utf8()..], characters.as_str())
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::glob_matches;
-
-    #[test]
-    fn globs() {
-        for (glob, name, expected) in [
-            ("p*_base", "p0_base", true),
-            ("p?_base", "p0_base", true),
-            ("p?_base", "p10_base", false),
-            ("*", "", true),
-            ("object", "object", true),
-            ("object", "objects", false),
-            ("**_t*", "p0_tip", true),
-            ("é*", "éa", true),
-        ] {
-            assert_eq!(glob_matches(glob, name), expected, "{glob} {name}");
-        }
-    }
 }

@@ -18,6 +18,7 @@ mod csv_read;
 mod csv_write;
 mod error;
 mod load;
+mod mcap_lengths;
 mod mcap_read;
 mod mcap_streams;
 mod mcap_write;

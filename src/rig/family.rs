@@ -6,8 +6,8 @@ use super::RigError;
 use super::axes::Axis;
 use super::config::setting;
 use super::effects::{CATALOGUE, Effect, EffectConfig, Entry, Place, candidates, kind};
+use crate::mjcf::glob;
 use crate::mujoco::Model;
-use crate::randomise::glob_matches;
 use crate::rng::{self, Stream};
 
 /// How to draw.
@@ -49,7 +49,7 @@ impl FamilyConfig {
                 "a finite number of at least 0",
             ));
         }
-        let known = |glob: &&String| !CATALOGUE.iter().any(|e| glob_matches(glob, e.name));
+        let known = |glob: &&String| !CATALOGUE.iter().any(|e| glob::matches(glob, e.name));
         match self.effects.iter().find(known) {
             Some(glob) => Err(RigError::Family {
                 reason: format!("`effects` has \"{glob}\", which matches no effect"),
@@ -71,7 +71,7 @@ pub(super) fn draw(
 ) -> Result<Vec<EffectConfig>, RigError> {
     let mut possible: Vec<(&Entry, Vec<String>)> = CATALOGUE
         .iter()
-        .filter(|entry| family.effects.iter().any(|g| glob_matches(g, entry.name)))
+        .filter(|entry| family.effects.iter().any(|g| glob::matches(g, entry.name)))
         .map(|entry| (entry, places(family, model, axes, entry)))
         .filter(|(entry, places)| entry.place == Place::World || !places.is_empty())
         .collect();
@@ -131,7 +131,7 @@ fn places(family: &FamilyConfig, model: &Model, axes: &[Axis], entry: &Entry) ->
         .filter_map(|id| model.name(kind(model, entry.place), id))
         .filter(|name| {
             let full = format!("{}/{name}", entry.place.text());
-            family.places.iter().any(|glob| glob_matches(glob, &full))
+            family.places.iter().any(|glob| glob::matches(glob, &full))
         })
         .map(str::to_owned)
         .collect()

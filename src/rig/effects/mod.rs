@@ -24,8 +24,8 @@ use serde::{Deserialize, Serialize};
 
 use super::RigError;
 use super::axes::Axis;
+use crate::mjcf::glob;
 use crate::mujoco::{Model, ObjectKind};
-use crate::randomise::glob_matches;
 
 /// What the `where` of an effect selects by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -360,7 +360,7 @@ fn select(model: &Model, axes: &[Axis], place: Place, glob: &str) -> Result<Vec<
     let found: Vec<usize> = candidates
         .iter()
         .copied()
-        .filter(|id| glob_matches(glob, name(id)))
+        .filter(|id| glob::matches(glob, name(id)))
         .collect();
     if found.is_empty() {
         let names: Vec<_> = candidates.iter().map(name).collect();

@@ -1,8 +1,8 @@
 //! Effects that are other numbers in the true model.
 
 use super::{Bound, Effect, Place, kind};
+use crate::mjcf::attribute::bounding_radius;
 use crate::mujoco::{Cone, Model, ModelEdit, MujocoError, ObjectKind};
-use crate::randomise::bounding_radius;
 
 /// Change the numbers of `edit` as `bound` says.
 ///

@@ -1,0 +1,161 @@
+//! Whitened rows of the linearised problem, knot by knot, into the elimination.
+
+use std::ops::Range;
+
+use super::SysidError;
+use super::arrow::Arrow;
+use super::linearise::Point;
+use super::newton::Solver;
+use super::parameter::Scale;
+use super::problem::{Setting, Stage};
+
+/// Knots linearised at a time, which bounds the memory.
+const BLOCK: usize = 512;
+/// Change of a position that the damping resists like one of the parameters' typical changes, rad or m.
+const TYPICAL_POSITION: f64 = 0.01;
+
+/// A sensor sample on the grid: between knots k and k + 1.
+pub(super) struct Placed {
+    pub knot: usize,
+    pub part: f64,
+    pub sample: usize,
+}
+
+impl Solver<'_> {
+    /// Samples of a trial on the grid, in the order of knots.
+    pub(super) fn placed(&self, trial: usize, x: &[f64]) -> Vec<Placed> {
+        let h = self.problem.model.timestep();
+        let free = self.problem.free_values(x);
+        let trial = &self.problem.trials[trial];
+        let last = trial.n_knots - 1;
+        let mut placed: Vec<Placed> = (trial.samples.iter().enumerate())
+            .filter_map(|(sample, s)| {
+                let channel = &self.problem.channels[s.channel];
+                let (low, high): (usize, usize) = match channel.stage {
+                    Stage::Position => (0, last),
+                    Stage::Velocity => (1, last),
+                    Stage::Acceleration => (1, last - 1),
+                };
+                let at = s.time / h;
+                if at < low as f64 - 1e-4 || at > high as f64 + 1e-4 {
+                    return None;
+                }
+                let at = ((s.time - channel.delay.value(&free)) / h).clamp(low as f64, high as f64);
+                let mut knot = (at + 1e-4).floor() as usize;
+                let mut part = at - knot as f64;
+                if channel.stage == Stage::Acceleration || part < 1e-4 || knot == high {
+                    // forces are held over a step; stamps are rounded
+                    (knot, part) = (knot.min(high), 0.0);
+                }
+                Some(Placed { knot, part, sample })
+            })
+            .collect();
+        placed.sort_by_key(|p| p.knot);
+        placed
+    }
+
+    /// All trajectories eliminated.
+    pub(super) fn eliminate(&self, damping: f64) -> Result<Vec<Arrow>, SysidError> {
+        let (nv, np) = (self.problem.model.nv(), self.x.len());
+        let mut arrows = Vec::new();
+        for (i, trial) in self.problem.trials.iter().enumerate() {
+            let point = self.point(i, &self.trajectories[i], &self.x);
+            let placed = self.placed(i, &self.x);
+            let mut next = 0;
+            let mut arrow = Arrow::new(nv, np);
+            for from in (0..trial.n_knots).step_by(BLOCK) {
+                let range = from..(from + BLOCK).min(trial.n_knots);
+                next = self.feed(&mut arrow, &point, i, range, &placed, next, damping)?;
+            }
+            arrow.finish(trial.n_knots);
+            arrows.push(arrow);
+        }
+        Ok(arrows)
+    }
+
+    #[allow(clippy::too_many_arguments)] // all of one loop, cut for the memory's sake
+    fn feed(
+        &self,
+        arrow: &mut Arrow,
+        point: &Point<'_>,
+        trial: usize,
+        range: Range<usize>,
+        placed: &[Placed],
+        mut next: usize,
+        damping: f64,
+    ) -> Result<usize, SysidError> {
+        let (nv, np) = (self.problem.model.nv(), self.x.len());
+        let free = self.problem.free_values(&self.x);
+        let trial = &self.problem.trials[trial];
+        let h = self.problem.model.timestep();
+        let width = 3 * nv + np + 1;
+        let blocks = point.linearise(range.start..(range.end + 1).min(trial.n_knots))?;
+        let resist = damping.sqrt() / TYPICAL_POSITION;
+        for k in range {
+            if k > 0 && k + 1 < trial.n_knots {
+                for i in 0..nv {
+                    let source = blocks.row(k, i);
+                    let r = source[width - 1] / self.force_sigma[i];
+                    let factor = self.problem.force_norm[i].weight(r).sqrt() / self.force_sigma[i];
+                    let row = arrow.row();
+                    for (row, s) in row.iter_mut().zip(source) {
+                        *row = factor * s;
+                    }
+                    row[width - 1] = -row[width - 1];
+                }
+            }
+            while next < placed.len() && placed[next].knot == k {
+                let Placed { part, sample, .. } = placed[next];
+                next += 1;
+                let s = &trial.samples[sample];
+                let channel = &self.problem.channels[s.channel];
+                let (gain, bias) = (channel.gain.value(&free), channel.bias.value(&free));
+                let here = blocks.row(k, nv + s.channel);
+                let row = arrow.row();
+                row.copy_from_slice(here);
+                let mut slope = 0.0;
+                if part > 0.0 {
+                    let there = blocks.row(k + 1, nv + s.channel);
+                    slope = (there[width - 1] - here[width - 1]) / h;
+                    for v in row.iter_mut() {
+                        *v *= 1.0 - part;
+                    }
+                    // the window of knot k + 1 stands one block to the right
+                    for (v, t) in row[nv..3 * nv].iter_mut().zip(&there[..2 * nv]) {
+                        *v += part * t;
+                    }
+                    for (v, t) in row[3 * nv..].iter_mut().zip(&there[3 * nv..]) {
+                        *v += part * t;
+                    }
+                } else if k + 1 < trial.n_knots && channel.stage != Stage::Acceleration {
+                    slope = (blocks.row(k + 1, nv + s.channel)[width - 1] - here[width - 1]) / h;
+                }
+                let z = row[width - 1];
+                let r = (gain * z + bias - s.value) / channel.sigma;
+                let factor = channel.norm.weight(r).sqrt() / channel.sigma;
+                for v in row.iter_mut() {
+                    *v *= factor * gain;
+                }
+                for (setting, derivative) in [
+                    (channel.bias, 1.0),
+                    (channel.gain, z),
+                    (channel.delay, -gain * slope),
+                ] {
+                    if let Setting::Free(j) = setting {
+                        let p = &self.problem.parameters.all[self.problem.parameters.free[j]];
+                        // a value on a log scale changes by itself
+                        let by_x = if p.scale == Scale::Log { free[j] } else { 1.0 };
+                        row[3 * nv + j] += factor * derivative * by_x;
+                    }
+                }
+                row[width - 1] = -factor * (gain * z + bias - s.value);
+            }
+            for i in 0..nv {
+                let row = arrow.row();
+                row[nv + i] = resist;
+            }
+            arrow.close(k);
+        }
+        Ok(next)
+    }
+}

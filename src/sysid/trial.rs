@@ -1,0 +1,156 @@
+//! One recording on the grid of the model's time step.
+
+use super::SysidError;
+use super::norm::Norm;
+use super::problem::{Channel, ProblemConfig, Sample, Setting, Stage, Trial};
+use crate::mjcf::glob;
+use crate::mujoco::Model;
+use crate::recording::{Bound, BoundChannel, Recording};
+
+/// Least number of knots of a recording.
+const MIN_KNOTS: usize = 8;
+
+/// Samples and controls of a recording; its channels join those of earlier recordings.
+pub(super) fn trial(
+    model: &Model,
+    config: &ProblemConfig,
+    name: &str,
+    recording: &Recording,
+    bound: &Bound,
+    channels: &mut Vec<Channel>,
+) -> Result<Trial, SysidError> {
+    let refuse = |reason: String| SysidError::Recording {
+        recording: name.to_owned(),
+        reason,
+    };
+    let n_sensordata = model.nsensordata();
+    let measured = (bound
+        .sensors
+        .iter()
+        .map(|b| (b, b.address, sensor_stage(model, b))))
+    .chain(
+        bound
+            .qpos
+            .iter()
+            .map(|b| (b, n_sensordata + b.address, Stage::Position)),
+    )
+    .chain(
+        bound
+            .qvel
+            .iter()
+            .map(|b| (b, n_sensordata + model.nq() + b.address, Stage::Velocity)),
+    );
+    let mut series = Vec::new();
+    for (b, source, stage) in measured {
+        let described = &recording.streams[b.stream].channels[b.column];
+        let rule = config
+            .channel
+            .iter()
+            .find(|r| glob::matches(&r.name, &described.name));
+        if rule.is_some_and(|r| r.ignore) {
+            continue;
+        }
+        let known = rule.and_then(|r| r.noise_sigma).or(b.noise_sigma);
+        if known.is_some_and(|s| !s.is_finite() || s <= 0.0)
+            || rule.is_some_and(|r| !r.norm.is_valid())
+        {
+            return Err(refuse(format!(
+                "channel `{}` needs a positive noise_sigma and norm",
+                described.name
+            )));
+        }
+        let values = samples(recording, b);
+        if values.is_empty() {
+            continue;
+        }
+        let index = channels
+            .iter()
+            .position(|c| c.name == described.name)
+            .unwrap_or_else(|| {
+                channels.push(Channel {
+                    name: described.name.clone(),
+                    unit: described.unit.clone(),
+                    source,
+                    stage,
+                    sigma: known.unwrap_or(0.0),
+                    sigma_known: known.is_some(),
+                    norm: rule.map_or(Norm::Quadratic, |r| r.norm),
+                    bias: Setting::Fixed(0.0),
+                    gain: Setting::Fixed(1.0),
+                    delay: Setting::Fixed(0.0),
+                });
+                channels.len() - 1
+            });
+        series.push((index, values));
+    }
+    if series.is_empty() {
+        return Err(refuse(
+            "no channel is a sensor, joint position or velocity of the model".into(),
+        ));
+    }
+    let first = |values: &[(f64, f64)]| values.first().map_or(f64::INFINITY, |s| s.0);
+    let last = |values: &[(f64, f64)]| values.last().map_or(f64::NEG_INFINITY, |s| s.0);
+    let mut controls: Vec<Vec<(f64, f64)>> = vec![Vec::new(); model.nu()];
+    for b in &bound.controls {
+        controls[b.address] = samples(recording, b);
+    }
+    let sensed = series
+        .iter()
+        .map(|(_, v)| first(v))
+        .fold(f64::INFINITY, f64::min);
+    let start = controls.iter().map(|v| first(v)).fold(sensed, f64::max);
+    let end = series
+        .iter()
+        .map(|(_, v)| last(v))
+        .fold(f64::NEG_INFINITY, f64::max);
+    let h = model.timestep();
+    let n_knots = if end > start {
+        ((end - start) / h + 1e-6).floor() as usize + 1
+    } else {
+        0
+    };
+    if n_knots < MIN_KNOTS {
+        return Err(refuse(format!(
+            "it covers {n_knots} steps of the model ({h} s each) with both sensors and controls, at least {MIN_KNOTS} are needed"
+        )));
+    }
+    for control in &mut controls {
+        for (time, _) in control {
+            *time -= start;
+        }
+    }
+    let mut all: Vec<Sample> = (series.iter())
+        .flat_map(|(channel, values)| {
+            values.iter().map(|&(time, value)| Sample {
+                channel: *channel,
+                time: time - start,
+                value,
+            })
+        })
+        .filter(|s| s.time > -1e-9)
+        .collect();
+    all.sort_by(|a, b| a.time.total_cmp(&b.time).then(a.channel.cmp(&b.channel)));
+    Ok(Trial {
+        name: name.to_owned(),
+        n_knots,
+        start_s: start,
+        controls,
+        samples: all,
+    })
+}
+
+fn samples(recording: &Recording, b: &BoundChannel) -> Vec<(f64, f64)> {
+    let stream = &recording.streams[b.stream];
+    (0..stream.len())
+        .map(|i| (stream.time(i), stream.row(i)[b.column]))
+        .filter(|(_, value)| value.is_finite())
+        .collect()
+}
+
+fn sensor_stage(model: &Model, b: &BoundChannel) -> Stage {
+    match model.sensor_needstage()[b.object] {
+        1 => Stage::Position,
+        2 => Stage::Velocity,
+        _ => Stage::Acceleration,
+    }
+}

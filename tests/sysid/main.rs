@@ -1,0 +1,8 @@
+//! System identification: planted truth comes back.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod inverse;
+mod mjcf;
+mod push;
+mod simulate;

@@ -1,0 +1,176 @@
+//! A torque-driven tip pushes a free cylinder: open-loop replay of it is chaotic, the joint estimate is not.
+
+use std::sync::Arc;
+
+use phantom::mujoco::{Data, Model};
+use phantom::recording::{Channel, Kind, Recording, Stream};
+use phantom::rng::{self, Purpose};
+use phantom::sysid::joint::{Fit, JointSettings, Start, solve};
+use phantom::sysid::parameter::ParameterRule;
+use phantom::sysid::problem::{ChannelRule, Problem, ProblemConfig};
+
+use crate::simulate::simulate;
+
+const PUSH: &str = r#"<mujoco><option timestep="0.002" cone="elliptic" impratio="3"/><worldbody>
+<geom name="floor" type="plane" size="2 2 .1"/>
+<body name="cyl" pos=".10 0 .05"><freejoint name="f"/><geom name="cyl" type="cylinder" size=".04 .05" mass=".5"/></body>
+<body name="fx" pos="0 0 .05"><joint name="x" type="slide" axis="1 0 0" damping="2"/>
+<joint name="y" type="slide" axis="0 1 0" damping="2"/><geom name="tip" type="sphere" size=".015" mass=".1"/></body>
+</worldbody><contact><exclude body1="world" body2="fx"/>
+<pair name="cf" geom1="cyl" geom2="floor" friction=".35 .35 .005 .0001 .0001"/>
+<pair name="ct" geom1="cyl" geom2="tip" friction=".6 .6 .005 .0001 .0001"/></contact>
+<actuator><motor name="mx" joint="x"/><motor name="my" joint="y"/></actuator>
+<sensor><jointpos name="xs" joint="x"/><jointpos name="ys" joint="y"/>
+<framepos name="cp" objtype="body" objname="cyl"/></sensor></mujoco>"#;
+
+const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
+
+fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
+    Channel {
+        name: name.into(),
+        kind,
+        unit: unit.into(),
+        noise_sigma: None,
+    }
+}
+
+/// The reference motion of 2 s, as a recording.
+fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
+    let model = Arc::new(Model::from_xml_str(PUSH).expect("loads"));
+    let mut data = Data::new(model.clone()).expect("data");
+    let run = simulate(&mut data, 1000, |data, ctrl| {
+        let t = data.time();
+        let pi = std::f64::consts::PI;
+        let goal = [
+            0.05 + 0.11 * (1.0 - (pi * t).cos()),
+            0.02 * (1.6 * pi * t).sin(),
+        ];
+        for i in 0..2 {
+            ctrl[i] = 300.0 * (goal[i] - data.qpos()[7 + i]) - 12.0 * data.qvel()[6 + i];
+        }
+    });
+    let last = &run.qpos[999];
+    assert!(last[0] > 0.2, "pushed to {}", last[0]);
+    let names = ["xs", "ys", "cp[0]", "cp[1]", "cp[2]"];
+    let sensors = names
+        .iter()
+        .map(|n| channel(n, Kind::Sensor, "m"))
+        .collect();
+    let controls = ["mx", "my"]
+        .iter()
+        .map(|n| channel(n, Kind::Control, "N"))
+        .collect();
+    let mut sensors = Stream::new("sensors", Some(500.0), sensors);
+    let mut controls = Stream::new("controls", Some(500.0), controls);
+    let mut rng = rng::stream(seed, Purpose::Model, 0, 0);
+    for (k, (s, u)) in run.sensordata.iter().zip(&run.ctrl).enumerate() {
+        let stamp = 2_000_000 * k as i64;
+        let noisy: Vec<f64> = s
+            .iter()
+            .map(|s| s + noise_m * rng::normal(&mut rng))
+            .collect();
+        sensors.push(stamp, &noisy);
+        controls.push(stamp, u);
+    }
+    (
+        model,
+        Recording {
+            streams: vec![sensors, controls],
+            ..Recording::default()
+        },
+    )
+}
+
+fn config(sigma: f64) -> ProblemConfig {
+    let rule = |element, attribute, components: &[usize], lower, upper| ParameterRule {
+        components: components.to_vec(),
+        lower: Some(lower),
+        upper: Some(upper),
+        ..ParameterRule::new(element, attribute)
+    };
+    ProblemConfig {
+        parameter: vec![
+            rule("pair/cf", "friction", &[0], 0.05, 1.2),
+            rule("pair/ct", "friction", &[0], 0.05, 1.5),
+            rule("body/cyl", "mass", &[], 0.1, 2.0),
+        ],
+        channel: vec![ChannelRule {
+            name: "*".into(),
+            noise_sigma: Some(sigma),
+            norm: Default::default(),
+            ignore: false,
+        }],
+        ..ProblemConfig::default()
+    }
+}
+
+fn identify(problem: &Problem, x: Vec<f64>) -> Fit {
+    let start = Start {
+        x,
+        trajectories: None,
+        force_scale: None,
+    };
+    let verbose = std::env::var_os("PHANTOM_TEST_VERBOSE").is_some();
+    let fit = solve(problem, &JointSettings::default(), &start, &mut |i| {
+        if verbose {
+            let v: Vec<f64> = i.x.iter().map(|x| x.exp()).collect();
+            println!(
+                "{:8.1e} cost {:13.6e} damping {:7.0e} step {:8.1e} {v:.4?}",
+                i.level, i.cost, i.damping, i.step
+            );
+        }
+        true
+    });
+    fit.expect("solved")
+}
+
+fn random_start(i: u64) -> Vec<f64> {
+    let mut rng = rng::stream(7, Purpose::Start, 0, i);
+    [(0.05, 1.2), (0.05, 1.5), (0.1, 2.0)]
+        .map(|(a, b)| rng::uniform(&mut rng, a, b).ln())
+        .to_vec()
+}
+
+/// Number of starts out of `n` that end within `tolerance` of the truth.
+fn successes(noise_m: f64, sigma: f64, tolerance: f64, n: u64) -> u64 {
+    let (model, recording) = pushed(noise_m, 3);
+    let problem = Problem::new(model, &config(sigma), &[("push".into(), recording)]).expect("fits");
+    let mut good = 0;
+    for i in 0..n {
+        let began = std::time::Instant::now();
+        let fit = identify(&problem, random_start(i));
+        let worst = (fit.x.iter().zip(TRUTH))
+            .map(|(x, t)| (x.exp() / t - 1.0).abs())
+            .fold(0.0, f64::max);
+        let values: Vec<f64> = fit.x.iter().map(|x| x.exp()).collect();
+        println!(
+            "start {i}: {values:.4?} worst {:.2} %, level {:.0e}, {:?}, {:.1} s, nle {:.1}",
+            100.0 * worst,
+            fit.level,
+            fit.status,
+            began.elapsed().as_secs_f64(),
+            fit.negative_log_evidence
+        );
+        good += u64::from(worst < tolerance);
+    }
+    good
+}
+
+#[test]
+fn push_task_from_a_random_start() {
+    assert_eq!(successes(0.0, 1e-6, 0.02, 1), 1);
+}
+
+/// `cargo test --release --test sysid -- --ignored push_task --nocapture`
+#[test]
+#[ignore = "half a minute or more"]
+fn push_task_from_sixteen_random_starts() {
+    assert_eq!(successes(0.0, 1e-6, 0.02, 16), 16);
+}
+
+/// As above, with half a millimetre of noise on every position.
+#[test]
+#[ignore = "half a minute or more"]
+fn push_task_with_noise_from_sixteen_random_starts() {
+    assert_eq!(successes(5e-4, 5e-4, 0.10, 16), 16);
+}
