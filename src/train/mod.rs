@@ -200,6 +200,11 @@ impl Trainer {
         &self.state
     }
 
+    /// The processes that advance together.
+    pub fn team(&self) -> &Team {
+        &self.team
+    }
+
     /// The settings.
     pub fn config(&self) -> &TrainConfig {
         &self.config
