@@ -75,7 +75,10 @@ impl Communicator for World {
         let mut length = message.len() as u64;
         first.broadcast_into(&mut length);
         message.resize(length as usize, 0);
-        first.broadcast_into(&mut message[..]);
+        // the address of an empty vector is one that MPI gives a meaning of its own
+        if !message.is_empty() {
+            first.broadcast_into(&mut message[..]);
+        }
         Ok(())
     }
 

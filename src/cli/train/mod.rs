@@ -88,12 +88,16 @@ impl TrainArgs {
         match self.train(&team) {
             // who is alone with an error leaves without a farewell, which ends the others
             Err(error) if error.is_lonely() => Err(error),
+            Err(error) => {
+                // told once, and before anyone leaves: a launcher may end the others then
+                let told = team.is_first().then(|| error.report());
+                team.from_first(told.map(|_| ()))?;
+                team.finish();
+                Ok(error.exit_code())
+            }
             outcome => {
                 team.finish();
-                match outcome {
-                    Err(error) if !team.is_first() => Ok(error.exit_code()),
-                    outcome => outcome,
-                }
+                outcome
             }
         }
     }
