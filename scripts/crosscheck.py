@@ -14,7 +14,8 @@ What is computed again, from the inputs of the record alone:
   inverse       mj_inverse at states on the way
   task          observations by joint name, rewards and distances by their formulas
   policy        mean actions, by phantom_policy.py
-  update        value fits, advantages, gradient, natural gradient, step, KL, for both Fisher matrices
+  update        value fits, advantages, gradient, natural gradient, step, KL, for both Fisher matrices, for white noise,
+                for the worst trajectories alone
 
 An error is a difference divided by the largest magnitude in its column (physics) or quantity (all else). A line of
 the table gives how many numbers were compared, median, 99 % quantile and worst of their errors, the tolerance, and
@@ -341,7 +342,9 @@ class Batch:
     """The usable trajectories of an update, as arrays over trajectory, time, component."""
 
     def __init__(self, update):
-        used = [t for t in update["trajectories"] if not t["diverged"]]
+        # their indices among all, the broken ones counted: these say who is even and who is odd
+        self.index = np.array([i for i, t in enumerate(update["trajectories"]) if not t["diverged"]])
+        used = [update["trajectories"][i] for i in self.index]
         n, m = update["policy"]["n_observation"], update["policy"]["n_action"]
         self.horizon, self.n, self.m = update["horizon"], n, m
         self.rewards = np.array([t["rewards"] for t in used])
@@ -352,6 +355,17 @@ class Batch:
         # what the value function sees: the observation and more, the state after the last step included
         self.inputs = np.array([t["value_inputs"] for t in used]).reshape(self.count, self.length + 1, -1)
         self.times = np.arange(self.length + 1) / self.horizon
+
+    def worst(self, share):
+        """The share of the batch with the lowest mean reward, at least one trajectory."""
+        mean = self.rewards.mean(axis=1)
+        count = max(1, math.floor(share * self.count + 0.5))
+        chosen = mean <= np.sort(mean)[count - 1]
+        part = copy.copy(self)
+        for name in ("index", "rewards", "observations", "noise", "actions", "inputs"):
+            setattr(part, name, getattr(self, name)[chosen])
+        part.count = len(part.index)
+        return part
 
     def values(self, function, index):
         """V along trajectory `index`, the state after its last action included."""
@@ -375,10 +389,10 @@ def fit_values(batch, previous, config):
     with np.errstate(divide="ignore"):
         shape = ValueFunction(mean, np.where(deviation > 0, 1 / deviation, 0), [])
     stride = config["value_stride"]
-    picked = [(i, t) for i in range(batch.count) for t in range(i // 2 % stride, length, stride)]
+    picked = [(i, t) for i, k in enumerate(batch.index) for t in range(k // 2 % stride, length, stride)]
     fits = []
     for choice in (lambda i: True, lambda i: i % 2 == 1, lambda i: i % 2 == 0):
-        index = tuple(np.array([pair for pair in picked if choice(pair[0])]).T)
+        index = tuple(np.array([pair for pair in picked if choice(batch.index[pair[0]])]).T)
         sample = batch.inputs[index], batch.times[index[1]], targets[index]
         fits.append(ValueFunction.fitted(shape, *sample, config["value_ridge"]))
         if len(fits) == 1:
@@ -482,32 +496,33 @@ def actions_of(batch, policy, rho):
 
 def compare_update(update, table, cases=None):
     """The learning steps of the record's cases."""
-    batch, previous = Batch(update), ValueFunction(**update["previous"])
+    whole, previous = Batch(update), ValueFunction(**update["previous"])
     theta = np.array(update["policy"]["weights"] + update["policy"]["log_sigma"])
-    n_weight = batch.m * (batch.n + 1)
+    n_weight = whole.m * (whole.n + 1)
     sigma = np.exp(theta[n_weight:])
-    z = batch.noise.reshape(-1, batch.m)
     rolled = update["cases"][0]["config"]["noise_correlation"]
-    table.arrays("batch: actions", batch.actions, actions_of(batch, update["policy"], rolled), 1e-12)
-    table.arrays("batch: value inputs", batch.inputs[:, :-1, :batch.n], batch.observations, 0.0)
+    table.arrays("batch: actions", whole.actions, actions_of(whole, update["policy"], rolled), 1e-12)
+    table.arrays("batch: value inputs", whole.inputs[:, :-1, :whole.n], whole.observations, 0.0)
     known_fits = {}
     for number, case in enumerate(update["cases"][:cases]):
         config = case["config"]
         label = f"update {number + 1} ({config['fisher']}, {config['value_from']})"
+        batch = whole.worst(config["epopt_epsilon"])
+        z = batch.noise.reshape(-1, batch.m)
         psi = score_features(batch, config["noise_correlation"])
         scores = np.hstack([((z / sigma)[:, :, None] * psi[:, None, :]).reshape(len(psi), -1), z ** 2 - 1])
 
         key = tuple(config[name] for name in ("discount", "value_stride", "value_ridge", "advantage_clip"))
         if key not in known_fits:
-            known_fits[key] = fit_values(batch, previous, config)
+            known_fits[key] = fit_values(whole, previous, config)
         fits, explained, n_sample = known_fits[key]
-        values = [[batch.values(fit, i) for i in range(len(case["values"][0]))] for fit in fits]
+        values = [[whole.values(fit, i) for i in range(len(case["values"][0]))] for fit in fits]
         table.arrays(f"{label}: values", case["values"], values, 1e-8)
         table.arrays(f"{label}: fit", [case["explained_variance"], case["value_samples"] / n_sample],
                      [explained, 1], 1e-9)
 
         crossed = config["value_from"] == "crossed"
-        raw = advantages_of(batch, lambda i: fits[1 + i % 2] if crossed else previous, config)
+        raw = advantages_of(batch, lambda i: fits[1 + batch.index[i] % 2] if crossed else previous, config)
         limit = config["advantage_clip"]
         middle, width = robust_moments(raw, max(limit, 3))
         normal = (raw - middle) / width
@@ -517,7 +532,7 @@ def compare_update(update, table, cases=None):
         table.errors(f"{label}: clipped share", case["clipped_share"] - np.mean(np.abs(normal) > limit), 1e-12)
 
         # of even and odd trajectories apart, both divided by the size of the whole batch
-        parity = np.repeat(np.arange(batch.count) % 2, batch.length)
+        parity = np.repeat(batch.index % 2, batch.length)
         halves = [(advantages.ravel() * (parity == half)) @ scores / len(scores) for half in (0, 1)]
         gradient = halves[0] + halves[1]
         table.arrays(f"{label}: gradient", case["gradient"], gradient, 1e-8)

@@ -76,25 +76,48 @@ pub fn evaluate(
     policy: &AffineGaussian,
     request: EvaluationRequest,
 ) -> Result<Evaluation, RolloutError> {
+    let all: Vec<usize> = (0..request.n_rollout).collect();
+    let rollouts = rollouts(model, task, randomiser, policy, request.seed, &all)?;
+    Ok(Evaluation::of(rollouts))
+}
+
+/// The rollouts `indices` of an evaluation.
+///
+/// # Errors
+/// As [`evaluate`].
+pub fn rollouts(
+    model: &Arc<Model>,
+    task: &PushTask,
+    randomiser: &Randomiser,
+    policy: &AffineGaussian,
+    seed: u64,
+    indices: &[usize],
+) -> Result<Vec<Rollout>, RolloutError> {
     policy.check(task.n_observation(), task.n_action())?;
-    let results: Vec<Result<Rollout, RolloutError>> = (0..request.n_rollout)
-        .into_par_iter()
+    let results: Vec<Result<Rollout, RolloutError>> = indices
+        .par_iter()
         .with_max_len(1)
-        .map(|index| follow(model, task, randomiser, policy, request.seed, index as u64))
+        .map(|&index| follow(model, task, randomiser, policy, seed, index as u64))
         .collect();
-    let rollouts = results.into_iter().collect::<Result<Vec<_>, _>>()?;
-    let n = rollouts.len() as f64;
-    let mean = rollouts.iter().map(|r| r.mean_distance_cm).sum::<f64>() / n;
-    let variance = rollouts
-        .iter()
-        .map(|r| (r.mean_distance_cm - mean).powi(2))
-        .sum::<f64>()
-        / (n - 1.0).max(1.0);
-    Ok(Evaluation {
-        mean_distance_cm: mean,
-        std_cm: variance.sqrt(),
-        rollouts,
-    })
+    results.into_iter().collect()
+}
+
+impl Evaluation {
+    /// The summary of `rollouts`.
+    pub fn of(rollouts: Vec<Rollout>) -> Self {
+        let n = rollouts.len() as f64;
+        let mean = rollouts.iter().map(|r| r.mean_distance_cm).sum::<f64>() / n;
+        let variance = rollouts
+            .iter()
+            .map(|r| (r.mean_distance_cm - mean).powi(2))
+            .sum::<f64>()
+            / (n - 1.0).max(1.0);
+        Self {
+            mean_distance_cm: mean,
+            std_cm: variance.sqrt(),
+            rollouts,
+        }
+    }
 }
 
 fn follow(

@@ -41,4 +41,5 @@ pub mod run_dir;
 pub mod supplement;
 pub mod sysid;
 pub mod task;
+pub mod team;
 pub mod train;

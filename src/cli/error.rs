@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use crate::compare::CompareError;
 use crate::mujoco::MujocoError;
+use crate::npg::NpgError;
 use crate::policy::PolicyError;
 use crate::randomise::RandomiseError;
 use crate::recording::RecordingError;
@@ -17,6 +18,7 @@ use crate::run_dir::RunDirError;
 use crate::supplement::SupplementError;
 use crate::sysid::SysidError;
 use crate::task::TaskError;
+use crate::team::TeamError;
 use crate::train::TrainError;
 use crate::train::config::SettingError;
 
@@ -101,6 +103,9 @@ pub enum CliError {
     /// A model cannot be identified.
     #[error(transparent)]
     Sysid(#[from] SysidError),
+    /// The processes of the team cannot go on together.
+    #[error(transparent)]
+    Team(#[from] TeamError),
     /// A report cannot be made.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -115,54 +120,58 @@ pub enum CliError {
 }
 
 impl CliError {
-    /// Print the sentence to standard error and return the exit code: 3 for a fatal error of the engine, else 2.
+    /// Print the sentence to standard error and return the exit code.
     pub fn report(&self) -> ExitCode {
         eprintln!("phantom: {self}");
-        ExitCode::from(if self.engine().is_some_and(MujocoError::is_fatal) {
-            3
-        } else {
-            2
-        })
+        self.exit_code()
+    }
+
+    /// 3 for a fatal error of the engine, else 2.
+    pub(super) fn exit_code(&self) -> ExitCode {
+        ExitCode::from(if self.is_fatal() { 3 } else { 2 })
+    }
+
+    /// Whether it is a fatal error of the engine, here or in another process.
+    pub(super) fn is_fatal(&self) -> bool {
+        self.engine().is_some_and(MujocoError::is_fatal)
+            || self.team().is_some_and(
+                |error| matches!(error, TeamError::Elsewhere { is_fatal, .. } if *is_fatal),
+            )
+    }
+
+    /// Whether other processes of the team cannot know of it.
+    pub(super) fn is_lonely(&self) -> bool {
+        self.team().is_some_and(TeamError::is_lonely)
+    }
+
+    /// The team's error at the bottom, if that is what it is.
+    fn team(&self) -> Option<&TeamError> {
+        match self {
+            Self::Team(error)
+            | Self::Train(TrainError::Team(error) | TrainError::Npg(NpgError::Team(error))) => {
+                Some(error)
+            }
+            _ => None,
+        }
     }
 
     /// The engine's error at the bottom, if that is what it is.
     fn engine(&self) -> Option<&MujocoError> {
         match self {
             Self::Mujoco(engine)
-            | Self::Train(TrainError::Mujoco(engine))
             | Self::Compare(CompareError::Mujoco(engine))
             | Self::Sysid(SysidError::Mujoco(engine)) => Some(engine),
             Self::Rig { source, .. } => match source {
                 RigError::Mujoco(engine) => Some(engine),
-                RigError::Task(error) => of_task(error),
-                RigError::Randomise(error) => of_randomise(error),
+                RigError::Task(error) => error.engine(),
+                RigError::Randomise(error) => error.engine(),
                 _ => None,
             },
-            Self::Task(error) | Self::Train(TrainError::Task(error)) => of_task(error),
-            Self::Randomise(error) | Self::Train(TrainError::Randomise(error)) => {
-                of_randomise(error)
-            }
-            Self::Rollout(error) | Self::Train(TrainError::Rollout(error)) => match error {
-                RolloutError::Mujoco(engine) => Some(engine),
-                RolloutError::Task(error) => of_task(error),
-                RolloutError::Randomise(error) => of_randomise(error),
-                _ => None,
-            },
+            Self::Task(error) => error.engine(),
+            Self::Randomise(error) => error.engine(),
+            Self::Rollout(error) => error.engine(),
+            Self::Train(error) => error.engine(),
             _ => None,
         }
-    }
-}
-
-fn of_task(error: &TaskError) -> Option<&MujocoError> {
-    match error {
-        TaskError::Mujoco(engine) => Some(engine),
-        _ => None,
-    }
-}
-
-fn of_randomise(error: &RandomiseError) -> Option<&MujocoError> {
-    match error {
-        RandomiseError::Mujoco(engine) => Some(engine),
-        RandomiseError::Rule { .. } | RandomiseError::Ensemble { .. } => None,
     }
 }

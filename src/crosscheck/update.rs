@@ -12,6 +12,7 @@ use crate::npg::{self, NpgConfig, ValueFrom};
 use crate::policy::AffineGaussian;
 use crate::rollout::{BatchRequest, Diverged, Trajectory};
 use crate::task::push::PushTask;
+use crate::team::Deal;
 use crate::train::config::TrainConfig;
 use crate::train::{Checkpoint, TrainError, Trainer};
 
@@ -54,7 +55,7 @@ pub struct BatchEntry {
     pub value_inputs: Vec<f64>,
 }
 
-/// One update. Trajectories are counted among those that did not break down.
+/// One update. Values and advantages are those of the trajectories that did not break down.
 #[derive(Debug, Serialize)]
 pub struct Case {
     /// settings
@@ -133,7 +134,8 @@ pub fn record(root: &Path, seed: u64) -> Result<UpdateRecord, TrainError> {
     let groups = sampler.task().observation_groups();
     let horizon = sampler.config().horizon;
     let cases = settings(&config.npg).into_iter().map(|config| {
-        let update = || npg::compute(policy, previous, &batch, horizon, &groups, &config);
+        let deal = Deal::alone(batch.len());
+        let update = || npg::compute(policy, previous, &batch, &deal, horizon, &groups, &config);
         Ok(case(
             sampler.threads().install(update)?,
             &batch,
@@ -155,7 +157,8 @@ pub fn record(root: &Path, seed: u64) -> Result<UpdateRecord, TrainError> {
     })
 }
 
-/// Both metrics with both value functions, and one step so long that clipping, floor and step control all act.
+/// Both metrics with both value functions, white noise, the worst trajectories alone, and one step so long that clipping,
+/// floor and step control all act.
 fn settings(base: &NpgConfig) -> Vec<NpgConfig> {
     let mut settings = Vec::new();
     for fisher in [FisherMode::Exact, FisherMode::Empirical] {
@@ -170,6 +173,10 @@ fn settings(base: &NpgConfig) -> Vec<NpgConfig> {
     // white noise, as far as the update is concerned
     settings.push(NpgConfig {
         noise_correlation: 0.0,
+        ..base.clone()
+    });
+    settings.push(NpgConfig {
+        epopt_epsilon: 0.3,
         ..base.clone()
     });
     settings.push(NpgConfig {
@@ -208,7 +215,7 @@ fn case(update: npg::Update, batch: &[Trajectory], horizon: usize, config: NpgCo
         explained_variance: report
             .value_fit
             .map_or(f64::NAN, |fit| fit.explained_variance),
-        advantages: update.advantages,
+        advantages: with_samples(update.advantages),
         advantage_sigma: report.advantage_sigma,
         clipped_share: report.clipped_share,
         gradient: update.gradient,
@@ -224,6 +231,12 @@ fn case(update: npg::Update, batch: &[Trajectory], horizon: usize, config: NpgCo
         kl_predicted: report.kl_predicted,
         kl_measured: report.kl_measured,
     }
+}
+
+/// Those of the trajectories that take part.
+fn with_samples(advantages: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let rows = advantages.into_iter();
+    rows.filter(|row| !row.is_empty()).collect()
 }
 
 fn entry(trajectory: &Trajectory) -> BatchEntry {

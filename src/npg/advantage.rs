@@ -6,6 +6,8 @@
 //! R_t = r_t + γ R_{t+1},    R_T = V(s_T)     target of the value fit
 //! ```
 
+use crate::team::{Deal, TeamError};
+
 /// Generalised advantages; `values` has one more entry than `rewards`, the value of the state after the last action.
 pub fn generalised_advantages(
     rewards: &[f64],
@@ -40,28 +42,34 @@ pub fn returns(rewards: &[f64], last_value: f64, discount: f64, out: &mut Vec<f6
 /// to nothing.
 pub(super) const MIN_CLIP: f64 = 3.0;
 
-/// Mean and standard deviation of all `values` limited to mean ± `clip` standard deviations.
+/// Mean and standard deviation of all `values` of a batch limited to mean ± `clip` standard deviations.
 ///
 /// An outlier a thousand standard deviations away makes the plain standard deviation so large that it is not even
 /// clipped, and everything else vanishes beside it. So the limits are taken from the limited values again, until they
 /// stay: as long as the outliers are fewer than one in `clip²` samples, they end up near those of the rest.
-pub(super) fn robust_moments(values: &[Vec<f64>], clip: f64) -> (f64, f64) {
+pub(super) fn robust_moments(
+    deal: &Deal<'_>,
+    values: &[Vec<f64>],
+    clip: f64,
+) -> Result<(f64, f64), TeamError> {
     const PASSES: usize = 200;
     let clip = clip.max(MIN_CLIP);
-    let count = values.iter().map(Vec::len).sum::<usize>().max(1) as f64;
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
     let (mut mean, mut sigma) = (0.0, f64::INFINITY);
     for _ in 0..PASSES {
-        let limited = || values.iter().flatten().map(|v| v.max(low).min(high));
-        mean = limited().sum::<f64>() / count;
-        let variance = limited().map(|v| (v - mean).powi(2)).sum::<f64>() / count;
+        let limited = |place: usize| values[place].iter().map(|v| v.max(low).min(high));
+        let [count, sum] =
+            deal.totals(|place| [values[place].len() as f64, limited(place).sum()])?;
+        mean = sum / count.max(1.0);
+        let [squares] = deal.totals(|place| [limited(place).map(|v| (v - mean).powi(2)).sum()])?;
+        let variance: f64 = squares / count.max(1.0);
         let before = std::mem::replace(&mut sigma, variance.sqrt());
         (low, high) = (mean - clip * sigma, mean + clip * sigma);
         if sigma.is_nan() || sigma >= 0.999 * before {
             break;
         }
     }
-    (mean, sigma)
+    Ok((mean, sigma))
 }
 
 #[cfg(test)]
@@ -92,12 +100,15 @@ mod tests {
     #[test]
     fn robust_moments_are_those_of_the_rest() {
         let rest: Vec<f64> = (0..1000).map(|i| f64::from(i % 10)).collect();
-        let plain = robust_moments(std::slice::from_ref(&rest), 5.0);
+        let moments = |values: &[Vec<f64>]| {
+            robust_moments(&Deal::alone(values.len()), values, 5.0).expect("alone")
+        };
+        let plain = moments(std::slice::from_ref(&rest));
         assert!((plain.0 - 4.5).abs() < 1e-12 && (plain.1 - 8.25_f64.sqrt()).abs() < 1e-12);
-        let (mean, sigma) = robust_moments(&[rest, vec![-1e9; 3]], 5.0);
+        let (mean, sigma) = moments(&[rest, vec![-1e9; 3]]);
         assert!((mean - plain.0).abs() < 0.1, "{mean}");
         assert!((sigma / plain.1 - 1.0).abs() < 0.1, "{sigma}");
-        assert_eq!(robust_moments(&[vec![2.0; 9]], 5.0), (2.0, 0.0));
+        assert_eq!(moments(&[vec![2.0; 9]]), (2.0, 0.0));
     }
 
     proptest! {

@@ -18,6 +18,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use serde::{Deserialize, Serialize};
 
 use super::gram::{self, Gram};
+use crate::team::{Deal, TeamError};
 
 const CLIP: f64 = 4.0;
 /// Share of an input's variance that the inputs before it must leave unexplained. The loops of the model close to a few
@@ -160,51 +161,48 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
-/// Fit to every `stride`-th sample of `targets` (neighbouring samples say nearly the same).
+/// Fit to every `stride`-th sample of `targets` (neighbouring samples say nearly the same), this process's of the batch
+/// that `deal` deals; a trajectory that is to take no part has a target without samples.
 ///
 /// Returns `None` when there are fewer samples than features or the system cannot be factored, which happens only with
 /// non-finite input.
+///
+/// # Errors
+/// When the processes of the team cannot reach each other.
 pub fn fit(
+    deal: &Deal<'_>,
     targets: &[Target<'_>],
     n_input: usize,
     horizon: usize,
     stride: usize,
     ridge: f64,
-) -> Option<Fit> {
+) -> Result<Option<Fit>, TeamError> {
     let stride = stride.max(1);
-    let shape = standardise(targets, n_input);
+    let shape = standardise(deal, targets, n_input)?;
     let n = shape.n_feature();
 
-    // per lane: Σ (ψ, y)(ψ, y)ᵀ, the target as one more column
-    let mut halves = [
-        (DMatrix::zeros(n + 1, n + 1), 0),
-        (DMatrix::zeros(n + 1, n + 1), 0),
-    ];
-    let numbered: Vec<(usize, &Target<'_>)> = targets.iter().enumerate().collect();
-    let sums = gram::lanes(&numbered, |lane| {
+    // Σ (ψ, y)(ψ, y)ᵀ, the target as one more column
+    let halves = deal.halves(|lane| {
         let mut gram = Gram::new(n + 1);
-        for (index, target) in lane {
+        for &place in lane {
+            let target = &targets[place];
             let rows = target
                 .inputs
                 .chunks_exact(n_input)
                 .zip(target.returns)
                 .enumerate();
             // the phase moves along with pairs of trajectories, so that both parities visit every time
-            for (t, (observation, y)) in rows.skip(index / 2 % stride).step_by(stride) {
+            let phase = deal.mine()[place] / 2 % stride;
+            for (t, (observation, y)) in rows.skip(phase).step_by(stride) {
                 gram.push(|panel| {
                     shape.features(observation, t as f64 / horizon as f64, panel);
                     panel.push(*y);
                 });
             }
         }
-        gram.finish()
-    });
-    for (lane, (sum, count)) in sums.into_iter().enumerate() {
-        let half = &mut halves[lane % 2];
-        half.0 += sum;
-        half.1 += count;
-    }
-    let [(even, n_even), (odd, n_odd)] = halves;
+        gram.packed()
+    })?;
+    let [(even, n_even), (odd, n_odd)] = halves.map(|half| gram::unpack(n + 1, &half));
     let all = &even + &odd;
 
     let solve = |sum: &DMatrix<f64>, count: usize| -> Option<(Baseline, FitReport)> {
@@ -240,38 +238,42 @@ pub fn fit(
         baseline.is_sound(n_input).then_some((baseline, report))
     };
     if n_even.min(n_odd) < n {
-        return None;
+        return Ok(None);
     }
     let (whole, halves) = rayon::join(
         || solve(&all, n_even + n_odd),
         || (solve(&even, n_even), solve(&odd, n_odd)),
     );
-    let ((all, report), (from_even, _), (from_odd, _)) = (whole?, halves.0?, halves.1?);
-    Some(Fit {
+    let (Some((all, report)), (Some((from_even, _)), Some((from_odd, _)))) = (whole, halves) else {
+        return Ok(None);
+    };
+    Ok(Some(Fit {
         all,
         crossed: [from_odd, from_even],
         report,
-    })
+    }))
 }
 
 /// A weightless function that standardises as `targets` ask for.
-fn standardise(targets: &[Target<'_>], n_input: usize) -> Baseline {
+fn standardise(
+    deal: &Deal<'_>,
+    targets: &[Target<'_>],
+    n_input: usize,
+) -> Result<Baseline, TeamError> {
     // Σ (1, s)(1, s)ᵀ
-    let mut total = DMatrix::zeros(n_input + 1, n_input + 1);
-    let mut count = 0;
-    for (sum, n) in gram::lanes(targets, |lane| {
+    let total = deal.total(|lane| {
         let mut gram = Gram::new(n_input + 1);
-        for observation in lane.flat_map(|t| t.inputs.chunks_exact(n_input)) {
-            gram.push(|panel| {
-                panel.push(1.0);
-                panel.extend_from_slice(observation);
-            });
+        for &place in lane {
+            for observation in targets[place].inputs.chunks_exact(n_input) {
+                gram.push(|panel| {
+                    panel.push(1.0);
+                    panel.extend_from_slice(observation);
+                });
+            }
         }
-        gram.finish()
-    }) {
-        total += sum;
-        count += n;
-    }
+        gram.packed()
+    })?;
+    let (total, count) = gram::unpack(n_input + 1, &total);
     let mut covariance = total.view((1, 1), (n_input, n_input)).into_owned();
     let mut mean = total.view((1, 0), (n_input, 1)).into_owned();
     covariance /= count.max(1) as f64;
@@ -299,9 +301,9 @@ fn standardise(targets: &[Target<'_>], n_input: usize) -> Baseline {
             inverse_scale[i] = variance.sqrt().recip();
         }
     }
-    Baseline {
+    Ok(Baseline {
         mean: mean.as_slice().to_vec(),
         inverse_scale,
         weights: Vec::new(),
-    }
+    })
 }

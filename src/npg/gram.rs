@@ -1,16 +1,11 @@
-//! Sums of outer products Σ x xᵀ over many samples, in an order that does not depend on threads.
+//! Sums of outer products Σ x xᵀ over many samples.
 //!
-//! Trajectories are dealt to a fixed number of lanes (trajectory `i` to lane `i mod LANES`); each lane adds its own in
-//! order, and the lanes are added in order. Threads only decide who works on which lane.
-//!
-//! Within a lane samples are gathered into panels, and a panel is added by matrix products on column blocks of the
-//! lower triangle, which is some five times faster than rank-one updates.
+//! Samples are gathered into panels, and a panel is added by matrix products on column blocks of the lower triangle,
+//! which is some five times faster than rank-one updates. The triangle is what is added up between lanes of trajectories
+//! and sent between processes (see [`crate::team`]).
 
 use nalgebra::{DMatrix, DMatrixView};
-use rayon::prelude::*;
 
-/// Lanes of every reduction. Even, so that the parity of a trajectory is the parity of its lane.
-pub(crate) const LANES: usize = 8;
 const PANEL: usize = 512;
 const BLOCK: usize = 96;
 
@@ -61,28 +56,35 @@ impl Gram {
         self.panel.clear();
     }
 
-    /// The sum (lower triangle valid) and the number of samples in it.
-    pub(crate) fn finish(mut self) -> (DMatrix<f64>, usize) {
+    /// The number of samples and the lower triangle, column by column: what adds up.
+    pub(crate) fn packed(mut self) -> Vec<f64> {
         self.flush();
-        (self.sum, self.count)
+        let mut packed = Vec::with_capacity(packed_len(self.sum.nrows()));
+        packed.push(self.count as f64);
+        let n = self.sum.nrows();
+        for (j, column) in self.sum.as_slice().chunks_exact(n).enumerate() {
+            packed.extend_from_slice(&column[j..]);
+        }
+        packed
     }
 }
 
-/// Sum over `items` in lanes: `work` handles the items of one lane in order; results come back in lane order.
-pub(crate) fn lanes<T: Sync, R: Send>(
-    items: &[T],
-    work: impl Fn(&mut dyn Iterator<Item = &T>) -> R + Sync,
-) -> Vec<R> {
-    (0..LANES)
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|lane| work(&mut items.iter().skip(lane).step_by(LANES)))
-        .collect()
+/// Length of a packed [`Gram`] of `n` features.
+pub(crate) fn packed_len(n: usize) -> usize {
+    1 + n * (n + 1) / 2
 }
 
-/// Copy the lower triangle to the upper one.
-pub(crate) fn symmetrise(matrix: &mut DMatrix<f64>) {
-    matrix.fill_upper_triangle_with_lower_triangle();
+/// The sum, both triangles, and the number of samples of a packed [`Gram`] of `n` features.
+pub(crate) fn unpack(n: usize, packed: &[f64]) -> (DMatrix<f64>, usize) {
+    let mut sum = DMatrix::zeros(n, n);
+    let mut rest = &packed[1..];
+    for (j, column) in sum.as_mut_slice().chunks_exact_mut(n).enumerate() {
+        let (values, after) = rest.split_at(n - j);
+        column[j..].copy_from_slice(values);
+        rest = after;
+    }
+    sum.fill_upper_triangle_with_lower_triangle();
+    (sum, packed[0] as usize)
 }
 
 #[cfg(test)]
@@ -106,8 +108,9 @@ mod tests {
             let x = nalgebra::DVector::from_column_slice(sample);
             expected += &x * x.transpose();
         }
-        let (mut sum, count) = gram.finish();
-        symmetrise(&mut sum);
+        let packed = gram.packed();
+        assert_eq!(packed.len(), packed_len(n as usize));
+        let (sum, count) = unpack(n as usize, &packed);
         assert_eq!(count, samples.len());
         assert_eq!(sum, expected, "integers are summed exactly in any order");
     }

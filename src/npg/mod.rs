@@ -14,174 +14,34 @@
 //! | V | value function, [`baseline`] |
 //! | F⁻¹g | `natural_gradient`, [`fisher`] |
 //!
-//! Every sum runs over trajectories in a fixed order (see `gram`), so that the result does not depend on threads.
+//! With `epopt_epsilon` below 1 the step is made for the worst trajectories alone, that is for the models of the ensemble
+//! that are hardest to live with (Rajeswaran, Ghotra, Ravindran, Levine 2017, *EPOpt*, algorithm 1): gradient, Fisher
+//! matrix and advantages are those of the share ε with the lowest mean reward. The value function is fitted to all.
+//!
+//! Every sum over trajectories runs in a fixed order and over all processes (see [`crate::team`]), so that the result
+//! depends neither on threads nor on processes.
 
 pub mod advantage;
 pub mod baseline;
+mod config;
 pub mod fisher;
 mod gram;
 mod step;
 mod totals;
 
+pub use config::{NpgConfig, ValueFrom};
 pub use step::kl_divergence;
 
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::policy::AffineGaussian;
 use crate::rollout::Trajectory;
 use crate::task::ObservationGroup;
+use crate::team::{Deal, TeamError};
 use baseline::{Baseline, FitReport, Target};
-use fisher::{Fisher, FisherMode};
+use fisher::Fisher;
 use step::step;
 use totals::Totals;
-
-/// Which value function the advantages are computed with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ValueFrom {
-    /// the one fitted in the last iteration, as in the paper
-    Previous,
-    /// fitted to the other half of this iteration's trajectories: current, and independent of the sample
-    Crossed,
-}
-
-/// Settings of the update.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct NpgConfig {
-    /// γ per control step
-    pub discount: f64,
-    /// λ per control step
-    pub gae_lambda: f64,
-    /// δ, twice the KL divergence of a step
-    pub step_size_delta: f64,
-    /// δ at the end of the annealing, approached geometrically
-    pub final_step_size_delta: f64,
-    /// ceiling of log σ at the end of the annealing, approached linearly from `initial_log_sigma`, log N m
-    pub final_log_sigma: f64,
-    /// iterations over which δ and the ceiling of log σ go to their final values; 0: they stay
-    pub anneal_iterations: u64,
-    /// `exact` or `empirical`
-    pub fisher: FisherMode,
-    /// damping of the standardised Fisher matrix, relative to its diagonal
-    pub fisher_damping: f64,
-    /// advantages are clipped at this many standard deviations, and so are the targets of the value fit (not below 3
-    /// there); the standard deviations are those after clipping
-    pub advantage_clip: f64,
-    /// `crossed` or `previous`
-    pub value_from: ValueFrom,
-    /// ridge of the value fit, per sample
-    pub value_ridge: f64,
-    /// every how many-th sample the value function is fitted to
-    pub value_stride: usize,
-    /// ρ, correlation of the exploration noise between control steps; 0: white noise, as in the paper
-    pub noise_correlation: f64,
-    /// log σ of the initial policy, log N m
-    pub initial_log_sigma: f64,
-    /// log σ is held at or above this, log N m
-    pub log_sigma_floor: f64,
-}
-
-impl Default for NpgConfig {
-    fn default() -> Self {
-        Self {
-            discount: 0.98,
-            gae_lambda: 0.9,
-            step_size_delta: 0.1,
-            final_step_size_delta: 0.04,
-            final_log_sigma: -2.4,
-            anneal_iterations: 80,
-            fisher: FisherMode::Exact,
-            fisher_damping: 0.1,
-            advantage_clip: 5.0,
-            value_from: ValueFrom::Crossed,
-            value_ridge: 1e-4,
-            value_stride: 4,
-            noise_correlation: 0.85,
-            initial_log_sigma: -1.5,
-            log_sigma_floor: -3.0,
-        }
-    }
-}
-
-impl NpgConfig {
-    /// δ and the ceiling of log σ of an iteration, counted from 0.
-    pub fn annealed(&self, iteration: u64) -> (f64, f64) {
-        if self.anneal_iterations == 0 {
-            return (self.step_size_delta, f64::INFINITY);
-        }
-        let share = (iteration as f64 / self.anneal_iterations as f64).min(1.0);
-        let delta =
-            self.step_size_delta * (self.final_step_size_delta / self.step_size_delta).powf(share);
-        (
-            delta,
-            self.initial_log_sigma + share * (self.final_log_sigma - self.initial_log_sigma),
-        )
-    }
-
-    /// Check all ranges; returns key, value and expectation of the first that is wrong.
-    ///
-    /// # Errors
-    /// [`NpgError::Setting`].
-    pub fn validate(&self) -> Result<(), NpgError> {
-        let setting = |key, value: f64, ok: bool, expected| {
-            if ok {
-                Ok(())
-            } else {
-                Err(NpgError::Setting {
-                    key,
-                    value,
-                    expected,
-                })
-            }
-        };
-        let unit = |x: f64| (0.0..=1.0).contains(&x);
-        let positive = |x: f64| x.is_finite() && x > 0.0;
-        setting("npg.discount", self.discount, unit(self.discount), "0 to 1")?;
-        setting(
-            "npg.gae_lambda",
-            self.gae_lambda,
-            unit(self.gae_lambda),
-            "0 to 1",
-        )?;
-        for (key, value) in [
-            ("npg.step_size_delta", self.step_size_delta),
-            ("npg.final_step_size_delta", self.final_step_size_delta),
-            ("npg.fisher_damping", self.fisher_damping),
-            ("npg.advantage_clip", self.advantage_clip),
-            ("npg.value_ridge", self.value_ridge),
-        ] {
-            setting(key, value, positive(value), "a positive number")?;
-        }
-        let rho = self.noise_correlation;
-        setting(
-            "npg.noise_correlation",
-            rho,
-            (0.0..1.0).contains(&rho),
-            "at least 0 and below 1",
-        )?;
-        setting(
-            "npg.value_stride",
-            self.value_stride as f64,
-            self.value_stride > 0,
-            "at least 1",
-        )?;
-        for (key, value) in [
-            ("npg.initial_log_sigma", self.initial_log_sigma),
-            ("npg.log_sigma_floor", self.log_sigma_floor),
-        ] {
-            setting(key, value, (-20.0..=20.0).contains(&value), "-20 to 20")?;
-        }
-        setting(
-            "npg.initial_log_sigma",
-            self.initial_log_sigma,
-            self.initial_log_sigma >= self.log_sigma_floor,
-            "at least `npg.log_sigma_floor`",
-        )?;
-        Ok(())
-    }
-}
 
 /// Why an update could not be made.
 #[derive(Debug, Error)]
@@ -212,6 +72,9 @@ pub enum NpgError {
         /// gᵀF⁻¹g
         value: f64,
     },
+    /// The processes of the team could not add up.
+    #[error(transparent)]
+    Team(#[from] TeamError),
 }
 
 /// What an update did.
@@ -245,7 +108,7 @@ pub struct Update {
     pub policy: AffineGaussian,
     /// the value functions fitted to the batch; `None`: too few samples
     pub fit: Option<baseline::Fit>,
-    /// normalised and clipped advantages of every usable trajectory
+    /// normalised and clipped advantages of this process's trajectories; none for those that take no part
     pub advantages: Vec<Vec<f64>>,
     /// g, in the order of [`AffineGaussian::parameters`]
     pub gradient: Vec<f64>,
@@ -255,7 +118,8 @@ pub struct Update {
     pub report: UpdateReport,
 }
 
-/// One update of `policy` and `baseline` from a batch.
+/// One update of `policy` and `baseline` from a batch, of which `batch` holds this process's trajectories as `deal` has
+/// dealt them.
 ///
 /// # Errors
 /// When the batch has no usable trajectory or the step is not defined; policy and baseline are then unchanged.
@@ -263,11 +127,12 @@ pub fn update(
     policy: &mut AffineGaussian,
     baseline: &mut Baseline,
     batch: &[Trajectory],
+    deal: &Deal<'_>,
     horizon: usize,
     groups: &[ObservationGroup],
     config: &NpgConfig,
 ) -> Result<UpdateReport, NpgError> {
-    let update = compute(policy, baseline, batch, horizon, groups, config)?;
+    let update = compute(policy, baseline, batch, deal, horizon, groups, config)?;
     *policy = update.policy;
     if let Some(fit) = update.fit {
         *baseline = fit.all;
@@ -283,37 +148,44 @@ pub fn compute(
     policy: &AffineGaussian,
     baseline: &Baseline,
     batch: &[Trajectory],
+    deal: &Deal<'_>,
     horizon: usize,
     groups: &[ObservationGroup],
     config: &NpgConfig,
 ) -> Result<Update, NpgError> {
-    let usable: Vec<&Trajectory> = batch
-        .iter()
-        .filter(|t| t.diverged.is_none() && !t.is_empty())
-        .collect();
-    if usable.is_empty() {
+    let [n_trajectory, n_usable] =
+        deal.totals(|place| [1.0, f64::from(u8::from(is_usable(&batch[place])))])?;
+    if n_usable == 0.0 {
         return Err(NpgError::NoTrajectory {
-            n_trajectory: batch.len(),
+            n_trajectory: n_trajectory as usize,
         });
     }
 
     // value function and advantages
-    let fit = fit_baseline(baseline, &usable, horizon, config);
-    let mut advantages = advantages(baseline, fit.as_ref(), &usable, horizon, config);
-    let (advantage_sigma, clipped_share) = normalise(&mut advantages, config.advantage_clip);
+    let fit = fit_baseline(baseline, batch, deal, horizon, config)?;
+    let limit = worst(batch, deal, n_usable, config.epopt_epsilon)?;
+    let takes_part = |t: &Trajectory| is_usable(t) && t.mean_reward() <= limit;
+    let fitted = match config.value_from {
+        ValueFrom::Crossed => fit.as_ref().map(|fit| &fit.crossed),
+        ValueFrom::Previous => None,
+    };
+    let mut advantages = per_trajectory(batch, |place, trajectory| {
+        let value = fitted.map_or(baseline, |crossed| &crossed[deal.mine()[place] % 2]);
+        if takes_part(trajectory) {
+            advantages(value, trajectory, horizon, config)
+        } else {
+            Vec::new()
+        }
+    });
+    let (advantage_sigma, clipped_share) = normalise(deal, &mut advantages, config.advantage_clip)?;
 
     // gradient and metric
-    let samples: Vec<(&Trajectory, &[f64])> = usable
-        .iter()
-        .copied()
-        .zip(advantages.iter().map(Vec::as_slice))
-        .collect();
     let Totals {
         n_sample,
         halves,
         second,
         outer,
-    } = Totals::of(policy, &samples, config);
+    } = Totals::of(policy, deal, batch, &advantages, config)?;
     let fisher = match outer {
         None => Fisher::exact(&second, policy.log_sigma(), config.fisher_damping),
         Some(outer) => {
@@ -370,36 +242,66 @@ pub fn compute(
     })
 }
 
-/// Fit value functions to the returns of `usable`; `None` when there are too few samples.
+/// Whether there is anything to learn from.
+fn is_usable(trajectory: &Trajectory) -> bool {
+    trajectory.diverged.is_none() && !trajectory.is_empty()
+}
+
+/// The mean reward up to which a trajectory is one of the worst `epsilon` of `n_usable`.
+fn worst(
+    batch: &[Trajectory],
+    deal: &Deal<'_>,
+    n_usable: f64,
+    epsilon: f64,
+) -> Result<f64, TeamError> {
+    if epsilon >= 1.0 {
+        return Ok(f64::INFINITY);
+    }
+    let usable = batch.iter().filter(|t| is_usable(t));
+    let rewards: Vec<f64> = usable.map(Trajectory::mean_reward).collect();
+    let last = (epsilon * n_usable).round().max(1.0) as usize - 1;
+    let limit = deal.team().sorted_value(&rewards, last)?;
+    Ok(limit.unwrap_or(f64::INFINITY))
+}
+
+/// Fit value functions to the returns of all usable trajectories; `None` when there are too few samples.
 fn fit_baseline(
     baseline: &Baseline,
-    usable: &[&Trajectory],
+    batch: &[Trajectory],
+    deal: &Deal<'_>,
     horizon: usize,
     config: &NpgConfig,
-) -> Option<baseline::Fit> {
+) -> Result<Option<baseline::Fit>, TeamError> {
     let n_input = baseline.n_input();
-    let mut returns = per_trajectory(usable, |trajectory| {
+    let mut returns = per_trajectory(batch, |_, trajectory| {
         let (mut last, mut returns) = (Vec::new(), Vec::new());
-        let end = &trajectory.value_inputs[trajectory.len() * n_input..];
-        baseline.values(end, trajectory.len(), horizon, &mut last);
-        advantage::returns(&trajectory.rewards, last[0], config.discount, &mut returns);
+        if is_usable(trajectory) {
+            let end = &trajectory.value_inputs[trajectory.len() * n_input..];
+            baseline.values(end, trajectory.len(), horizon, &mut last);
+            advantage::returns(&trajectory.rewards, last[0], config.discount, &mut returns);
+        }
         returns
     });
     // the object flung off the table once must not bend the value of every other state
     let clip = config.advantage_clip.max(advantage::MIN_CLIP);
-    let (mean, sigma) = advantage::robust_moments(&returns, clip);
+    let (mean, sigma) = advantage::robust_moments(deal, &returns, clip)?;
     for value in returns.iter_mut().flatten() {
         *value = value.max(mean - clip * sigma).min(mean + clip * sigma);
     }
-    let targets: Vec<Target<'_>> = usable
+    let targets: Vec<Target<'_>> = batch
         .iter()
         .zip(&returns)
         .map(|(trajectory, returns)| Target {
-            inputs: &trajectory.value_inputs,
+            inputs: if returns.is_empty() {
+                &[]
+            } else {
+                &trajectory.value_inputs
+            },
             returns,
         })
         .collect();
     baseline::fit(
+        deal,
         &targets,
         n_input,
         horizon,
@@ -408,54 +310,57 @@ fn fit_baseline(
     )
 }
 
-/// Generalised advantages of every trajectory.
+/// Generalised advantages of a trajectory.
 fn advantages(
-    previous: &Baseline,
-    fit: Option<&baseline::Fit>,
-    usable: &[&Trajectory],
+    value: &Baseline,
+    trajectory: &Trajectory,
     horizon: usize,
     config: &NpgConfig,
-) -> Vec<Vec<f64>> {
-    let numbered: Vec<(usize, &Trajectory)> = usable.iter().copied().enumerate().collect();
-    per_trajectory(&numbered, |(index, trajectory)| {
-        let value = match (config.value_from, fit) {
-            (ValueFrom::Crossed, Some(fit)) => &fit.crossed[index % 2],
-            _ => previous,
-        };
-        let (mut values, mut advantages) = (Vec::with_capacity(trajectory.len() + 1), Vec::new());
-        value.values(&trajectory.value_inputs, 0, horizon, &mut values);
-        advantage::generalised_advantages(
-            &trajectory.rewards,
-            &values,
-            config.discount,
-            config.gae_lambda,
-            &mut advantages,
-        );
-        advantages
-    })
+) -> Vec<f64> {
+    let (mut values, mut advantages) = (Vec::with_capacity(trajectory.len() + 1), Vec::new());
+    value.values(&trajectory.value_inputs, 0, horizon, &mut values);
+    advantage::generalised_advantages(
+        &trajectory.rewards,
+        &values,
+        config.discount,
+        config.gae_lambda,
+        &mut advantages,
+    );
+    advantages
 }
 
-/// Apply `work` to every item on all threads, results in order.
-fn per_trajectory<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
+/// Apply `work` to every place and trajectory on all threads, results in order.
+fn per_trajectory<R: Send>(
+    batch: &[Trajectory],
+    work: impl Fn(usize, &Trajectory) -> R + Sync + Send,
+) -> Vec<R> {
     use rayon::prelude::*;
-    items.par_iter().map(work).collect()
+    let numbered = batch.par_iter().enumerate();
+    numbered.map(|(place, t)| work(place, t)).collect()
 }
 
 /// Bring advantages to mean 0 and standard deviation 1 over the batch, clipped; returns the old standard deviation and
 /// the clipped share.
-fn normalise(advantages: &mut [Vec<f64>], clip: f64) -> (f64, f64) {
-    let count = advantages.iter().map(Vec::len).sum::<usize>() as f64;
-    let (mean, sigma) = advantage::robust_moments(advantages, clip);
+fn normalise(
+    deal: &Deal<'_>,
+    advantages: &mut [Vec<f64>],
+    clip: f64,
+) -> Result<(f64, f64), TeamError> {
+    let (mean, sigma) = advantage::robust_moments(deal, advantages, clip)?;
     let inverse = if sigma > 0.0 { 1.0 / sigma } else { 0.0 };
-    let mut clipped = 0_usize;
-    for a in advantages.iter_mut().flatten() {
-        *a = (*a - mean) * inverse;
-        if a.abs() > clip {
-            *a = clip.copysign(*a);
-            clipped += 1;
+    let mut clipped = vec![0_usize; advantages.len()];
+    for (advantages, clipped) in advantages.iter_mut().zip(&mut clipped) {
+        for a in advantages {
+            *a = (*a - mean) * inverse;
+            if a.abs() > clip {
+                *a = clip.copysign(*a);
+                *clipped += 1;
+            }
         }
     }
-    (sigma, clipped as f64 / count)
+    let [count, clipped] =
+        deal.totals(|place| [advantages[place].len() as f64, clipped[place] as f64])?;
+    Ok((sigma, clipped / count))
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -1,8 +1,6 @@
 //! Ends of trajectories: what is cut off at the horizon counts with the value of the state it really ended in.
 
-use super::{
-    Baseline, NpgConfig, Target, Trajectory, ValueFrom, advantages, baseline, fit_baseline,
-};
+use super::{Baseline, Deal, NpgConfig, Target, Trajectory, advantages, baseline, fit_baseline};
 
 const HORIZON: usize = 30;
 const DISCOUNT: f64 = 0.9;
@@ -35,7 +33,8 @@ fn known_value(trajectories: &[Trajectory]) -> Baseline {
             returns,
         })
         .collect();
-    baseline::fit(&targets, 1, HORIZON, 1, 1e-12)
+    baseline::fit(&Deal::alone(targets.len()), &targets, 1, HORIZON, 1, 1e-12)
+        .expect("alone")
         .expect("enough samples")
         .all
 }
@@ -44,7 +43,6 @@ fn config() -> NpgConfig {
     NpgConfig {
         discount: DISCOUNT,
         gae_lambda: 0.8,
-        value_from: ValueFrom::Previous,
         value_ridge: 1e-12,
         value_stride: 1,
         ..NpgConfig::default()
@@ -55,14 +53,20 @@ fn process() -> Vec<Trajectory> {
     (0..40).map(|i| standing(f64::from(i % 7) - 2.0)).collect()
 }
 
+fn fit(value: &Baseline, batch: &[Trajectory]) -> Baseline {
+    fit_baseline(value, batch, &Deal::alone(batch.len()), HORIZON, &config())
+        .expect("alone")
+        .expect("enough samples")
+        .all
+}
+
 #[test]
 fn a_known_value_leaves_no_advantage() {
     let mut batch = process();
     let value = known_value(&batch);
     batch[3].value_inputs[HORIZON] += 1.0; // ends one higher than where it was last seen
-    let usable: Vec<&Trajectory> = batch.iter().collect();
-    let advantages = advantages(&value, None, &usable, HORIZON, &config());
-    for (index, row) in advantages.iter().enumerate() {
+    for (index, trajectory) in batch.iter().enumerate() {
+        let row = advantages(&value, trajectory, HORIZON, &config());
         for (t, a) in row.iter().enumerate() {
             let surprise = DISCOUNT / (1.0 - DISCOUNT);
             let expected = if index == 3 {
@@ -79,12 +83,9 @@ fn a_known_value_leaves_no_advantage() {
 fn the_value_of_a_process_without_end_is_kept() {
     let batch = process();
     let mut value = known_value(&batch);
-    let usable: Vec<&Trajectory> = batch.iter().collect();
     // were the end of the horizon the end of the process, the value would fall to the last reward there
     for _ in 0..5 {
-        value = fit_baseline(&value, &usable, HORIZON, &config())
-            .expect("fit")
-            .all;
+        value = fit(&value, &batch);
     }
     let mut values = Vec::new();
     value.values(&batch[6].observations, 0, HORIZON, &mut values);
@@ -98,11 +99,10 @@ fn an_absurd_trajectory_does_not_bend_the_value_of_the_others() {
     let mut batch = process();
     let value = known_value(&batch);
     batch[3].rewards.fill(-1e9);
-    let usable: Vec<&Trajectory> = batch.iter().collect();
-    let fit = fit_baseline(&value, &usable, HORIZON, &config()).expect("fit");
+    let fitted = fit(&value, &batch);
     let mut values = Vec::new();
     for t in [&batch[0], &batch[10]] {
-        fit.all.values(&t.observations, 0, HORIZON, &mut values);
+        fitted.values(&t.observations, 0, HORIZON, &mut values);
     }
     assert!(values.iter().all(|v| v.abs() < 200.0), "{values:?}");
 }

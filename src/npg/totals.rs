@@ -8,6 +8,7 @@ use super::gram::{self, Gram};
 use crate::exploration::score_features;
 use crate::policy::AffineGaussian;
 use crate::rollout::Trajectory;
+use crate::team::{Deal, TeamError};
 
 /// Means over all samples of a batch.
 pub(super) struct Totals {
@@ -21,71 +22,65 @@ pub(super) struct Totals {
     pub(super) outer: Option<DMatrix<f64>>,
 }
 
-/// Sums over one lane of trajectories.
-struct Sums {
-    gradient: Vec<f64>,            // Σ A u, in units of σ
-    second: (DMatrix<f64>, usize), // Σ ψψᵀ
-    outer: Option<DMatrix<f64>>,   // Σ u uᵀ
-}
-
 impl Totals {
-    /// Sum over `samples`: trajectories with their advantages.
+    /// Sum over this process's trajectories of a batch, and everyone's, with their advantages; trajectories without
+    /// advantages take no part.
+    ///
+    /// # Errors
+    /// When the processes of the team cannot reach each other.
     pub(super) fn of(
         policy: &AffineGaussian,
-        samples: &[(&Trajectory, &[f64])],
+        deal: &Deal<'_>,
+        trajectories: &[Trajectory],
+        advantages: &[Vec<f64>],
         config: &NpgConfig,
-    ) -> Self {
-        let sums = gram::lanes(samples, |lane| sum_lane(policy, lane, config));
-        let n_sample: usize = sums.iter().map(|s| s.second.1).sum();
+    ) -> Result<Self, TeamError> {
+        let (width, n_parameter) = (policy.n_observation() + 1, policy.n_parameter());
+        let sums = deal.halves(|lane| {
+            let samples = lane
+                .iter()
+                .map(|&place| (&trajectories[place], advantages[place].as_slice()));
+            sum_lane(policy, samples, config)
+        })?;
+        let mut halves = [vec![], vec![]];
+        let mut grams = vec![0.0; sums[0].len() - n_parameter];
+        for (half, sum) in halves.iter_mut().zip(&sums) {
+            let (gradient, gram) = sum.split_at(n_parameter);
+            half.extend_from_slice(gradient);
+            for (total, value) in grams.iter_mut().zip(gram) {
+                *total += value;
+            }
+        }
+        let (second, outer) = grams.split_at(gram::packed_len(width));
+        let (second, n_sample) = gram::unpack(width, second);
         let scale = 1.0 / n_sample as f64;
-        let mut second = DMatrix::zeros(policy.n_observation() + 1, policy.n_observation() + 1);
-        let mut outer: Option<DMatrix<f64>> = None;
-        let mut halves = [
-            vec![0.0; policy.n_parameter()],
-            vec![0.0; policy.n_parameter()],
-        ];
-        for (lane, sum) in sums.into_iter().enumerate() {
-            second += sum.second.0 * scale;
-            for (total, value) in halves[lane % 2].iter_mut().zip(&sum.gradient) {
-                *total += value * scale;
-            }
-            if let Some(lane_outer) = sum.outer {
-                match &mut outer {
-                    Some(total) => *total += lane_outer * scale,
-                    None => outer = Some(lane_outer * scale),
-                }
-            }
-        }
-        gram::symmetrise(&mut second);
-        if let Some(outer) = &mut outer {
-            gram::symmetrise(outer);
-        }
-        // from units of σ to weights
-        let sigma: Vec<f64> = policy.log_sigma().iter().map(|l| l.exp()).collect();
+        // from sums to means, and from units of σ to weights
+        let units = policy.log_sigma().iter().map(|l| scale / l.exp());
+        let units: Vec<f64> = units
+            .flat_map(|unit| std::iter::repeat_n(unit, width))
+            .chain(policy.log_sigma().iter().map(|_| scale))
+            .collect();
         for half in &mut halves {
-            for (row, sigma) in half[..policy.weights().len()]
-                .chunks_exact_mut(policy.n_observation() + 1)
-                .zip(&sigma)
-            {
-                for value in row {
-                    *value /= sigma;
-                }
+            for (value, unit) in half.iter_mut().zip(&units) {
+                *value *= unit;
             }
         }
-        Self {
+        let outer = (!outer.is_empty()).then(|| gram::unpack(n_parameter, outer).0 * scale);
+        Ok(Self {
             n_sample,
             halves,
-            second,
+            second: second * scale,
             outer,
-        }
+        })
     }
 }
 
-fn sum_lane(
+/// Sums over one lane of trajectories: Σ A u in units of σ, Σ ψψᵀ, and Σ u uᵀ if it is wanted.
+fn sum_lane<'a>(
     policy: &AffineGaussian,
-    lane: &mut dyn Iterator<Item = &(&Trajectory, &[f64])>,
+    lane: impl Iterator<Item = (&'a Trajectory, &'a [f64])>,
     config: &NpgConfig,
-) -> Sums {
+) -> Vec<f64> {
     let (n, n_action) = (policy.n_observation(), policy.n_action());
     let width = n + 1;
     let n_weight = width * n_action;
@@ -97,7 +92,7 @@ fn sum_lane(
     for (trajectory, advantages) in lane {
         let observations: Vec<&[f64]> = trajectory.observations.chunks_exact(n).collect();
         let noise = trajectory.noise.chunks_exact(n_action);
-        for (t, (noise, advantage)) in noise.zip(*advantages).enumerate() {
+        for (t, (noise, advantage)) in noise.zip(advantages).enumerate() {
             features.clear();
             let previous = t.checked_sub(1).map(|p| observations[p]);
             score_features(
@@ -126,9 +121,8 @@ fn sum_lane(
             }
         }
     }
-    Sums {
-        gradient,
-        second: second.finish(),
-        outer: outer.map(|gram| gram.finish().0),
-    }
+    let mut sums = gradient;
+    sums.extend(second.packed());
+    sums.extend(outer.into_iter().flat_map(Gram::packed));
+    sums
 }

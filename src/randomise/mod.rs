@@ -51,6 +51,16 @@ pub enum RandomiseError {
     },
 }
 
+impl RandomiseError {
+    /// The engine's error at the bottom, if that is what it is.
+    pub fn engine(&self) -> Option<&MujocoError> {
+        match self {
+            Self::Mujoco(engine) => Some(engine),
+            Self::Rule { .. } | Self::Ensemble { .. } => None,
+        }
+    }
+}
+
 /// How a component is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]

@@ -56,6 +56,18 @@ pub enum RolloutError {
     },
 }
 
+impl RolloutError {
+    /// The engine's error at the bottom, if that is what it is.
+    pub fn engine(&self) -> Option<&MujocoError> {
+        match self {
+            Self::Mujoco(engine) => Some(engine),
+            Self::Task(error) => error.engine(),
+            Self::Randomise(error) => error.engine(),
+            _ => None,
+        }
+    }
+}
+
 /// Settings of a batch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RolloutConfig {
@@ -179,20 +191,35 @@ impl Sampler {
         request: &BatchRequest<'_>,
         batch: &mut Vec<Trajectory>,
     ) -> Result<(), RolloutError> {
+        let all: Vec<usize> = (0..request.n_trajectory).collect();
+        self.sample_some(policy, request, &all, batch)
+    }
+
+    /// Roll out only the trajectories `indices` of a batch.
+    ///
+    /// # Errors
+    /// As [`Self::sample`].
+    pub fn sample_some(
+        &self,
+        policy: &AffineGaussian,
+        request: &BatchRequest<'_>,
+        indices: &[usize],
+        batch: &mut Vec<Trajectory>,
+    ) -> Result<(), RolloutError> {
         policy.check(self.task.n_observation(), self.task.n_action())?;
-        batch.resize_with(request.n_trajectory, Trajectory::default);
+        batch.resize_with(indices.len(), Trajectory::default);
         let results: Vec<Result<(), RolloutError>> = self.pool.install(|| {
             batch
                 .par_iter_mut()
-                .enumerate()
+                .zip(indices)
                 .with_max_len(1)
-                .map(|(index, trajectory)| {
+                .map(|(trajectory, index)| {
                     let thread = rayon::current_thread_index().unwrap_or(0);
                     // a worker is only ever used by its own thread; a poisoned lock means that thread panicked before
                     let mut worker = self.workers[thread]
                         .lock()
                         .unwrap_or_else(std::sync::PoisonError::into_inner);
-                    self.roll_out(&mut worker, policy, request, index as u64, trajectory)
+                    self.roll_out(&mut worker, policy, request, *index as u64, trajectory)
                 })
                 .collect()
         });

@@ -18,8 +18,10 @@ pub struct Provenance {
     pub rustc_version: String,
     /// Start of the run, RFC 3339 in UTC.
     pub started: String,
-    /// Worker threads.
+    /// Worker threads of each process.
     pub threads: usize,
+    /// Processes that work together.
+    pub processes: usize,
     /// Command line, program name first.
     pub command_line: Vec<String>,
 }
@@ -35,7 +37,14 @@ impl Provenance {
             rustc_version: env!("PHANTOM_RUSTC_VERSION").to_owned(),
             started: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
             threads,
+            processes: 1,
             command_line: command_line.into_iter().collect(),
         }
+    }
+
+    /// The same, as one of `processes`.
+    #[must_use]
+    pub fn in_team(self, processes: usize) -> Self {
+        Self { processes, ..self }
     }
 }

@@ -44,6 +44,16 @@ pub enum TaskError {
     },
 }
 
+impl TaskError {
+    /// The engine's error at the bottom, if that is what it is.
+    pub fn engine(&self) -> Option<&MujocoError> {
+        match self {
+            Self::Mujoco(engine) => Some(engine),
+            _ => None,
+        }
+    }
+}
+
 /// Neighbouring observations of one meaning, for diagnostics and plots.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ObservationGroup {

@@ -1,87 +1,38 @@
 //! Algorithm 1 of the paper: roll out, update, repeat.
 //!
 //! A [`Trainer`] is advanced one iteration at a time and hands back a record of it; it neither prints nor writes. Its
-//! whole state is a [`Checkpoint`], from which a run continues to the same bits.
+//! whole state is a [`Checkpoint`], from which a run continues to the same bits. In a [`Team`] of processes every one has
+//! a trainer and advances it; their states stay the same, to the bit, as that of one process alone.
 
 mod batch_size;
+mod checkpoint;
 pub mod config;
+mod error;
+mod start_pool;
 
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde::{Deserialize, Serialize};
-use thiserror::Error;
-
-use crate::evaluate::{self, Evaluation, EvaluationRequest};
+use crate::evaluate::{self, Evaluation, Rollout};
 use crate::mujoco::{Model, MujocoError};
 use crate::npg::baseline::Baseline;
 use crate::npg::{self, NpgConfig, NpgError, UpdateReport};
-use crate::policy::{AffineGaussian, PolicyError};
-use crate::randomise::{RandomiseError, Randomiser};
-use crate::rollout::{
-    BatchRequest, Diverged, RolloutConfig, RolloutError, Sampler, Start, Trajectory,
-};
+use crate::policy::AffineGaussian;
+use crate::randomise::Randomiser;
+use crate::rollout::{BatchRequest, Diverged, RolloutConfig, Sampler, Trajectory};
 use crate::task::push::PushTask;
-use crate::task::{ObservationGroup, Task, TaskError};
+use crate::task::{ObservationGroup, Task};
+use crate::team::{Deal, Team, TeamError};
 pub use batch_size::BatchSize;
-use config::{SettingError, TrainConfig};
+pub use checkpoint::Checkpoint;
+use config::TrainConfig;
+pub use error::TrainError;
+use start_pool::start_pool;
 
+/// Breakdowns an iteration hands out at most: more of them say nothing new.
+const BREAKDOWNS: usize = 100;
 /// Seed of every evaluation during training, so that the figures of a run compare.
 const EVALUATION_SEED: u64 = 20_180_604;
-
-/// What can go wrong in training.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum TrainError {
-    /// A setting is out of range.
-    #[error(transparent)]
-    Setting(#[from] SettingError),
-    /// The engine failed.
-    #[error(transparent)]
-    Mujoco(#[from] MujocoError),
-    /// The model does not fit the task.
-    #[error(transparent)]
-    Task(#[from] TaskError),
-    /// A randomisation rule is wrong.
-    #[error(transparent)]
-    Randomise(#[from] RandomiseError),
-    /// Rolling out failed.
-    #[error(transparent)]
-    Rollout(#[from] RolloutError),
-    /// The update failed.
-    #[error(transparent)]
-    Npg(#[from] NpgError),
-    /// The checkpoint's policy is unusable.
-    #[error("checkpoint: {0}")]
-    Policy(#[from] PolicyError),
-    /// The checkpoint is unusable.
-    #[error("checkpoint: {0}")]
-    Checkpoint(String),
-}
-
-/// Everything a run needs to go on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Checkpoint {
-    /// iterations done
-    pub iteration: u64,
-    /// current policy
-    pub policy: AffineGaussian,
-    /// how many trajectories the next iteration takes
-    pub batch_size: BatchSize,
-    /// current value function
-    pub baseline: Baseline,
-    /// states to continue from
-    pub pool: Vec<Start>,
-    /// physics steps simulated so far
-    pub physics_steps: u64,
-    /// seconds spent so far
-    pub seconds: f64,
-    /// trajectories that diverged so far
-    pub n_diverged: u64,
-    /// best evaluation so far, cm
-    pub best_distance_cm: Option<f64>,
-}
 
 /// One iteration, as logged.
 #[derive(Debug, Clone)]
@@ -98,7 +49,9 @@ pub struct IterationRecord {
     pub update: Result<UpdateReport, String>,
     /// mean of exp(log σ), N m
     pub sigma: f64,
-    /// trajectories that broke down in this iteration
+    /// number of trajectories that broke down in this iteration
+    pub n_diverged: u64,
+    /// the first of them
     pub diverged: Vec<Diverged>,
     /// trajectories of this iteration
     pub n_trajectory: usize,
@@ -114,26 +67,46 @@ pub struct IterationRecord {
     pub evaluation: Option<Evaluation>,
     /// whether it is the best so far
     pub is_best: bool,
+    /// bytes sent and received by the process that had most to do with others
+    pub message_bytes: u64,
+    /// seconds this process spent on that, waiting included
+    pub message_s: f64,
 }
 
 /// A training run.
 pub struct Trainer {
+    team: Arc<Team>,
     config: TrainConfig,
     sampler: Sampler,
     groups: Vec<ObservationGroup>,
     task: Arc<PushTask>,
     model: Arc<Model>, // as loaded, for evaluation
     evaluation_randomiser: Randomiser,
-    batch: Vec<Trajectory>,
+    batch: Vec<Trajectory>, // this process's
+    unreported: Vec<Diverged>,
     state: Checkpoint,
 }
 
 impl Trainer {
-    /// A new run of `config` on `model`.
+    /// A new run of `config` on `model`, by this process alone.
     ///
     /// # Errors
     /// When a setting is out of range or the model does not fit the task.
     pub fn new(model: Model, config: TrainConfig, threads: usize) -> Result<Self, TrainError> {
+        Self::in_team(Arc::new(Team::alone()), model, config, threads)
+    }
+
+    /// A new run of `config` on `model` by `team`, on `threads` threads of this process. The others have to be given the
+    /// same.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn in_team(
+        team: Arc<Team>,
+        model: Model,
+        config: TrainConfig,
+        threads: usize,
+    ) -> Result<Self, TrainError> {
         config.validate()?;
         let task = Arc::new(PushTask::new(&model, config.task.clone())?);
         let mut training_model = model.clone();
@@ -178,6 +151,7 @@ impl Trainer {
             best_distance_cm: None,
         };
         Ok(Self {
+            team,
             groups: task.observation_groups(),
             config,
             sampler,
@@ -185,6 +159,7 @@ impl Trainer {
             model: Arc::new(model),
             evaluation_randomiser,
             batch: Vec::new(),
+            unreported: Vec::new(),
             state,
         })
     }
@@ -225,6 +200,11 @@ impl Trainer {
         &self.state
     }
 
+    /// The processes that advance together.
+    pub fn team(&self) -> &Team {
+        &self.team
+    }
+
     /// The settings.
     pub fn config(&self) -> &TrainConfig {
         &self.config
@@ -235,19 +215,21 @@ impl Trainer {
         &self.sampler
     }
 
-    /// Breakdowns of the last batch that no record has handed out: after [`Trainer::advance`] failed because every
-    /// trajectory diverged, all of them.
+    /// Breakdowns of the last batch that no record has handed out: those after which [`Trainer::advance`] failed because
+    /// every trajectory diverged.
     pub fn unreported_breakdowns(&self) -> impl Iterator<Item = &Diverged> {
-        self.batch.iter().filter_map(|t| t.diverged.as_ref())
+        self.unreported.iter()
     }
 
     /// Make one iteration.
     ///
     /// # Errors
-    /// When the engine fails or every trajectory diverged. An update that cannot be made leaves the policy as it was
+    /// When the engine fails, here or in another process, or every trajectory diverged. An update that cannot be made leaves the policy as it was
     /// and is reported in the record.
     pub fn advance(&mut self) -> Result<IterationRecord, TrainError> {
         let begin = Instant::now();
+        let team = Arc::clone(&self.team);
+        let traffic = team.traffic();
         let train = &self.config.train;
 
         // this iteration's step length and exploration
@@ -261,15 +243,20 @@ impl Trainer {
         };
 
         // trajectories of the current policy
+        let n_trajectory = self.state.batch_size.n_trajectory();
         let request = BatchRequest {
             seed: train.seed,
             iteration: self.state.iteration,
-            n_trajectory: self.state.batch_size.n_trajectory(),
+            n_trajectory,
             pool: &self.state.pool,
             pool_share: train.continued_share,
         };
-        self.sampler
-            .sample(&self.state.policy, &request, &mut self.batch)?;
+        let deal = Deal::new(&team, request.n_trajectory);
+        let sampled =
+            self.sampler
+                .sample_some(&self.state.policy, &request, deal.mine(), &mut self.batch);
+        agree(&team, sampled.map_err(TrainError::from))?;
+        self.unreported = breakdowns(&deal, &self.batch)?;
         let rollout_s = begin.elapsed().as_secs_f64();
 
         // policy and value function
@@ -281,13 +268,16 @@ impl Trainer {
                 policy,
                 baseline,
                 &self.batch,
+                &deal,
                 horizon,
                 &self.groups,
                 &npg_config,
             )
         });
         let update = match update {
-            Err(error @ NpgError::NoTrajectory { .. }) => return Err(error.into()),
+            Err(error @ (NpgError::NoTrajectory { .. } | NpgError::Team(_))) => {
+                return Err(error.into());
+            }
             other => other.map_err(|error| error.to_string()),
         };
         if let Ok(report) = &update {
@@ -296,30 +286,25 @@ impl Trainer {
         let update_s = update_begin.elapsed().as_secs_f64();
 
         // states to start from
-        let good: Vec<&Trajectory> = self.batch.iter().filter(|t| t.diverged.is_none()).collect();
-        self.state.pool = start_pool(&good, train.good_share);
+        self.state.pool = start_pool(&deal, &self.batch, train.good_share)?;
 
-        let steps: usize = self
-            .batch
-            .iter()
-            .map(|t| t.len() + usize::from(t.diverged.is_some()))
-            .sum();
-        let physics_steps = (steps * train.control_hold) as u64;
-        let n = good.len().max(1) as f64;
-        let mean = |f: &dyn Fn(&Trajectory) -> f64| good.iter().map(|t| f(t)).sum::<f64>() / n;
-        let reward = mean(&Trajectory::mean_reward);
-        let distance_cm = 100.0 * mean(&|t| t.distances_m.iter().sum::<f64>() / t.len() as f64);
-        let final_distance_cm =
-            100.0 * mean(&|t| t.distances_m.last().copied().unwrap_or(f64::NAN));
-        let diverged: Vec<Diverged> = self
-            .batch
-            .iter_mut()
-            .filter_map(|t| t.diverged.take())
-            .collect();
+        let [n_good, n_diverged, steps, reward, distance, last_distance] =
+            deal.totals(|place| {
+                let t = &self.batch[place];
+                let steps = t.len() as f64;
+                if t.diverged.is_some() {
+                    return [0.0, 1.0, steps + 1.0, 0.0, 0.0, 0.0];
+                }
+                let distance = t.distances_m.iter().sum::<f64>() / steps;
+                let last_distance = t.distances_m.last().copied().unwrap_or(f64::NAN);
+                [1.0, 0.0, steps, t.mean_reward(), distance, last_distance]
+            })?;
+        let (n_good, n_diverged) = (n_good.max(1.0), n_diverged as u64);
+        let physics_steps = steps as u64 * train.control_hold as u64;
 
         self.state.iteration += 1;
         self.state.physics_steps += physics_steps;
-        self.state.n_diverged += diverged.len() as u64;
+        self.state.n_diverged += n_diverged;
 
         // evaluation of the mean policy
         let evaluate_begin = Instant::now();
@@ -343,64 +328,103 @@ impl Trainer {
             self.state.best_distance_cm = Some(evaluation.mean_distance_cm);
         }
         let evaluate_s = evaluate_begin.elapsed().as_secs_f64();
+
+        // sums of the same bits make the same policy, on the same kind of processor
+        team.same("policy", &(&self.state.policy, &self.state.baseline))?;
+        let exchanged = team.traffic();
+        let message_bytes = team.all(exchanged.bytes - traffic.bytes, u64::max)?;
         self.state.seconds += begin.elapsed().as_secs_f64();
 
         let log_sigma = self.state.policy.log_sigma();
         let sigma = log_sigma.iter().map(|l| l.exp()).sum::<f64>() / log_sigma.len() as f64;
         Ok(IterationRecord {
             iteration: self.state.iteration,
-            reward,
-            distance_cm,
-            final_distance_cm,
+            reward: reward / n_good,
+            distance_cm: 100.0 * distance / n_good,
+            final_distance_cm: 100.0 * last_distance / n_good,
             update,
             sigma,
-            diverged,
-            n_trajectory: self.batch.len(),
+            n_diverged,
+            diverged: std::mem::take(&mut self.unreported),
+            n_trajectory,
             physics_steps,
             rollout_s,
             update_s,
             evaluate_s,
             evaluation,
             is_best,
+            message_bytes,
+            message_s: (exchanged.time - traffic.time).as_secs_f64(),
         })
     }
 
-    /// Evaluate the current mean policy on the spiral, with the model's own time step and mass.
+    /// Evaluate the current mean policy on the spiral, with the model's own time step and mass; the steps of the rollouts
+    /// are not kept.
     ///
     /// # Errors
-    /// When the engine fails.
+    /// When the engine fails, here or in another process.
     pub fn evaluate(&self, seed: u64) -> Result<Evaluation, TrainError> {
-        let request = EvaluationRequest {
-            n_rollout: self.config.train.evaluation_rollouts,
-            seed,
-        };
-        Ok(self.sampler.threads().install(|| {
-            evaluate::evaluate(
+        let team = &self.team;
+        let n_rollout = self.config.train.evaluation_rollouts;
+        let mine: Vec<usize> = (team.rank()..n_rollout).step_by(team.size()).collect();
+        let rollouts = self.sampler.threads().install(|| {
+            evaluate::rollouts(
                 &self.model,
                 &self.task,
                 &self.evaluation_randomiser,
                 &self.state.policy,
-                request,
+                seed,
+                &mine,
             )
-        })?)
+        });
+        let rollouts = agree(team, rollouts.map_err(TrainError::from))?;
+        let summaries = mine.into_iter().zip(rollouts).map(|(index, rollout)| {
+            (
+                index,
+                rollout.mean_distance_cm,
+                rollout.rms_torque_nm,
+                rollout.diverged,
+            )
+        });
+        let mut summaries = team.all(summaries.collect::<Vec<_>>(), concatenated)?;
+        summaries.sort_unstable_by_key(|(index, ..)| *index);
+        let rollouts =
+            summaries
+                .into_iter()
+                .map(|(_, mean_distance_cm, rms_torque_nm, diverged)| Rollout {
+                    mean_distance_cm,
+                    rms_torque_nm,
+                    diverged,
+                    steps: Vec::new(),
+                });
+        Ok(Evaluation::of(rollouts.collect()))
     }
 }
 
-/// One visited state of each trajectory in the best `share` by mean reward, in trajectory order.
-fn start_pool(trajectories: &[&Trajectory], share: f64) -> Vec<Start> {
-    let mut rewards: Vec<f64> = trajectories.iter().map(|t| t.mean_reward()).collect();
-    rewards.sort_by(f64::total_cmp);
-    let n_good = (share * rewards.len() as f64).round() as usize;
-    let Some(threshold) = rewards
-        .len()
-        .checked_sub(n_good)
-        .and_then(|i| rewards.get(i))
-    else {
-        return Vec::new();
-    };
-    trajectories
-        .iter()
-        .filter(|t| t.mean_reward() >= *threshold)
-        .filter_map(|t| t.visited.clone())
-        .collect()
+/// Go on only if everyone can.
+fn agree<T>(team: &Team, result: Result<T, TrainError>) -> Result<T, TrainError> {
+    team.agree(result, |error| {
+        error.engine().is_some_and(MujocoError::is_fatal)
+    })
+}
+
+/// The first breakdowns of the batch, in trajectory order.
+fn breakdowns(deal: &Deal<'_>, batch: &[Trajectory]) -> Result<Vec<Diverged>, TeamError> {
+    let broken = deal.mine().iter().zip(batch);
+    let mut broken: Vec<(usize, Diverged)> = broken
+        .filter_map(|(&index, t)| Some((index, t.diverged.clone()?)))
+        .collect();
+    broken.truncate(BREAKDOWNS);
+    let broken = deal.team().all(broken, |left, right| {
+        let mut all = concatenated(left, right);
+        all.sort_unstable_by_key(|(index, _)| *index);
+        all.truncate(BREAKDOWNS);
+        all
+    })?;
+    Ok(broken.into_iter().map(|(_, breakdown)| breakdown).collect())
+}
+
+fn concatenated<T>(mut left: Vec<T>, right: Vec<T>) -> Vec<T> {
+    left.extend(right);
+    left
 }

@@ -1,6 +1,8 @@
 //! What the tests of simulated tasks share.
 #![allow(dead_code)] // not every test uses everything
 
+pub(crate) mod team;
+
 use phantom::mujoco::{Data, Model};
 use phantom::rng::{self, Stream};
 use phantom::task::{ObservationGroup, Task, TaskError};

@@ -3,6 +3,7 @@
 use crate::synthetic::{normals, stream};
 use phantom::npg::baseline::{Baseline, Fit, Target, fit};
 use phantom::rng;
+use phantom::team::Deal;
 
 const HORIZON: usize = 25;
 const N: usize = 3;
@@ -42,7 +43,8 @@ fn fit_to(samples: &[Sample], stride: usize, ridge: f64) -> Option<Fit> {
             returns: &s.returns,
         })
         .collect();
-    fit(&targets, N, HORIZON, stride, ridge)
+    let deal = Deal::alone(targets.len());
+    fit(&deal, &targets, N, HORIZON, stride, ridge).expect("alone")
 }
 
 fn values(baseline: &Baseline, sample: &Sample) -> Vec<f64> {

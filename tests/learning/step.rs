@@ -6,11 +6,12 @@ use crate::synthetic::{
 use nalgebra::{DMatrix, DVector};
 use phantom::npg::baseline::Baseline;
 use phantom::npg::fisher::FisherMode;
-use phantom::npg::{self, NpgConfig, NpgError, UpdateReport, kl_divergence};
+use phantom::npg::{self, NpgConfig, NpgError, UpdateReport, ValueFrom, kl_divergence};
 use phantom::policy::AffineGaussian;
 use phantom::rng::Stream;
 use phantom::rollout::{Diverged, ModelDraw, Start, Trajectory};
 use phantom::task::ObservationGroup;
+use phantom::team::Deal;
 
 const HORIZON: usize = 20;
 
@@ -41,7 +42,16 @@ fn update(
         columns: 0..1,
     }];
     let mut baseline = Baseline::zero(policy.n_observation());
-    npg::update(policy, &mut baseline, batch, HORIZON, &groups, config)
+    let deal = Deal::alone(batch.len());
+    npg::update(
+        policy,
+        &mut baseline,
+        batch,
+        &deal,
+        HORIZON,
+        &groups,
+        config,
+    )
 }
 
 /// The change of θ from one update of a fresh policy.
@@ -197,6 +207,20 @@ fn broken_down_trajectories_take_no_part() {
     let mut bad = good.clone();
     let mut broken = good[0].clone();
     broken.rewards.fill(f64::NAN);
+    broken.diverged = Some(diverged());
+    // at the end: the others keep their indices, which decide about halves and order
+    bad.push(broken.clone());
+    assert_eq!(change(&good, &white()), change(&bad, &white()));
+    // in their midst: whatever it holds
+    let (mut one, mut other) = (good.clone(), good);
+    one[31] = broken.clone();
+    other[31].diverged.clone_from(&broken.diverged);
+    assert_eq!(change(&one, &white()), change(&other, &white()));
+    let error = update(&mut fresh.clone(), &[broken], &white()).expect_err("nothing left");
+    assert_eq!(error.to_string(), "all 1 trajectories diverged");
+}
+
+fn diverged() -> Diverged {
     let start = Start {
         model: ModelDraw {
             iteration: 0,
@@ -205,17 +229,44 @@ fn broken_down_trajectories_take_no_part() {
         qpos: vec![],
         qvel: vec![],
     };
-    broken.diverged = Some(Diverged {
+    Diverged {
         reason: String::new(),
         step: 3,
         start,
         mocap_pos: vec![],
         actions: vec![],
-    });
-    bad.insert(31, broken.clone());
-    assert_eq!(change(&good, &white()), change(&bad, &white()));
-    let error = update(&mut fresh.clone(), &[broken], &white()).expect_err("nothing left");
-    assert_eq!(error.to_string(), "all 1 trajectories diverged");
+    }
+}
+
+#[test]
+fn the_worst_trajectories_alone_decide_if_asked() {
+    let fresh = AffineGaussian::zeros(3, 2, -1.0);
+    let batch = batch(&fresh, 200, HORIZON, observe, reward);
+    // the value of the last iteration, since the fit is made to all trajectories
+    let epopt = |epopt_epsilon| NpgConfig {
+        epopt_epsilon,
+        value_from: ValueFrom::Previous,
+        ..white()
+    };
+    let all = change(&batch, &epopt(1.0));
+    assert_eq!(change(&batch, &epopt(0.999_999)), all, "200 of 200");
+
+    let mut rewards: Vec<f64> = batch.iter().map(Trajectory::mean_reward).collect();
+    rewards.sort_by(f64::total_cmp);
+    for (epsilon, n) in [(0.1, 20), (1e-9, 1)] {
+        let mut worst = batch.clone();
+        for trajectory in &mut worst {
+            if trajectory.mean_reward() > rewards[n - 1] {
+                trajectory.diverged = Some(diverged());
+            }
+        }
+        let mut policy = fresh.clone();
+        let report = update(&mut policy, &batch, &epopt(epsilon)).expect("a step");
+        assert_eq!(report.n_sample, n * HORIZON);
+        let found = difference(&policy.parameters(), &fresh.parameters());
+        assert_eq!(found, change(&worst, &epopt(1.0)), "{n} of 200");
+        assert_ne!(found, all);
+    }
 }
 
 #[test]

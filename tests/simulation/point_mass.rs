@@ -7,6 +7,7 @@ use phantom::policy::AffineGaussian;
 use phantom::randomise::Randomiser;
 use phantom::rollout::{BatchRequest, RolloutConfig, Sampler};
 use phantom::task::Task;
+use phantom::team::Deal;
 use std::sync::Arc;
 
 const ITERATIONS: u64 = 30;
@@ -65,8 +66,17 @@ fn a_point_mass_is_brought_to_its_goal() {
                     .sum::<f64>(),
             );
             let groups = PointMass.observation_groups();
-            let report = npg::update(&mut policy, &mut baseline, &batch, 50, &groups, &config)
-                .expect("a step");
+            let deal = Deal::alone(batch.len());
+            let report = npg::update(
+                &mut policy,
+                &mut baseline,
+                &batch,
+                &deal,
+                50,
+                &groups,
+                &config,
+            )
+            .expect("a step");
             let ratio = report.kl_measured / report.kl_predicted;
             assert!((0.2..2.1).contains(&ratio), "{ratio}");
         }
