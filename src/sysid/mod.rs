@@ -32,6 +32,7 @@ pub mod norm;
 pub mod parameter;
 pub mod problem;
 mod rows;
+pub mod shooting;
 mod start;
 mod trial;
 
