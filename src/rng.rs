@@ -31,6 +31,8 @@ pub enum Purpose {
     SensorNoise = 7,
     /// Phases of an excitation.
     Excitation = 8,
+    /// Draws from the posterior of identified parameters.
+    Posterior = 9,
 }
 
 /// The stream of (`seed`, `purpose`, `iteration`, `index`).

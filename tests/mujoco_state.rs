@@ -205,3 +205,24 @@ fn a_finished_edit_recomputes_derived_constants() {
     model.edit().set_timestep(0.004).expect("legal");
     assert_eq!(model.timestep(), 0.004);
 }
+
+#[test]
+fn a_fingerprint_is_that_of_the_physics() {
+    let of = |xml: &str| {
+        Model::from_xml_str(xml)
+            .expect("loads")
+            .fingerprint()
+            .expect("saved")
+    };
+    let xml = "<mujoco><worldbody><body><joint name='j' damping='1'/><geom size='1'/></body></worldbody></mujoco>";
+    assert_eq!(of(xml).len(), 64);
+    assert_eq!(
+        of(xml),
+        of(&xml.replace("<mujoco>", "<mujoco><!-- arm -->"))
+    );
+    assert_ne!(
+        of(xml),
+        of(&xml.replace("damping='1'", "damping='1.000001'"))
+    );
+    assert_ne!(of(xml), of(&xml.replace("name='j'", "name='k'")));
+}

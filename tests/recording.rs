@@ -374,3 +374,58 @@ fn without_checksums() -> Vec<u8> {
     writer.finish().expect("the end");
     writer.into_inner().into_inner()
 }
+
+#[test]
+fn a_text_longer_than_its_record_reserves_nothing() {
+    let bytes = std::fs::read(
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/recording/long_text.mcap"),
+    );
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("log.mcap");
+    std::fs::write(&file, &bytes.expect("read")[1..]).expect("written");
+    let error = recording::read(&file).expect_err("damaged").to_string();
+    assert!(
+        error.contains("a text is longer than its record"),
+        "{error}"
+    );
+}
+
+/// The corpus of the fuzzer: a byte for the ending, then the file.
+#[test]
+fn the_corpus_is_read_or_refused() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/recording");
+    let temporary = tempfile::tempdir().expect("a folder");
+    let mut outcomes = std::collections::BTreeMap::new();
+    for entry in std::fs::read_dir(folder).expect("a corpus") {
+        let path = entry.expect("an entry").path();
+        let bytes = std::fs::read(&path).expect("read");
+        let endings = ["log.csv", "log.csv.gz", "", "log.mcap"];
+        let file = temporary.path().join(endings[usize::from(bytes[0] % 4)]);
+        let name = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        if bytes[0] % 4 == 2 {
+            let text = String::from_utf8_lossy(&bytes[1..]);
+            outcomes.insert(name, Binding::from_toml(&text, &path).is_ok());
+        } else {
+            std::fs::write(&file, &bytes[1..]).expect("written");
+            outcomes.insert(name, recording::read(&file).is_ok());
+        }
+    }
+    for (name, sound) in [
+        ("table.csv", true),
+        ("table.csv.gz", true),
+        ("log.mcap", true),
+        ("binding.toml", true),
+    ]
+    .into_iter()
+    .chain([
+        ("truncated.csv.gz", false),
+        ("truncated.mcap", false),
+        ("flipped.mcap", false),
+    ]) {
+        assert_eq!(outcomes.get(name), Some(&sound), "{name}");
+    }
+}

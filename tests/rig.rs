@@ -69,6 +69,10 @@ fn ideal_rig_at_the_models_step_is_the_model() {
     let rig = rig(config("[physics]\nsubsteps = 1\n"));
     let recording = run(&rig, "multi_sine", 0.5, 0).recording;
     let model = Arc::new(phantom_model());
+    assert_eq!(
+        recording.meta.model_hash,
+        model.fingerprint().expect("saved")
+    );
     let mut data = Data::new(Arc::clone(&model)).expect("data");
     data.reset_to_keyframe(0).expect("home");
     let commands = recording.streams.iter().find(|s| s.name == "commands");

@@ -14,6 +14,7 @@ use crate::report::ReportError;
 use crate::rig::RigError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
+use crate::sysid::SysidError;
 use crate::task::TaskError;
 use crate::train::TrainError;
 use crate::train::config::SettingError;
@@ -88,6 +89,9 @@ pub enum CliError {
     /// Model and recordings cannot be compared.
     #[error(transparent)]
     Compare(#[from] CompareError),
+    /// A model cannot be identified.
+    #[error(transparent)]
+    Sysid(#[from] SysidError),
     /// A report cannot be made.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -117,7 +121,8 @@ impl CliError {
         match self {
             Self::Mujoco(engine)
             | Self::Train(TrainError::Mujoco(engine))
-            | Self::Compare(CompareError::Mujoco(engine)) => Some(engine),
+            | Self::Compare(CompareError::Mujoco(engine))
+            | Self::Sysid(SysidError::Mujoco(engine)) => Some(engine),
             Self::Rig { source, .. } => match source {
                 RigError::Mujoco(engine) => Some(engine),
                 RigError::Task(error) => of_task(error),
@@ -149,6 +154,6 @@ fn of_task(error: &TaskError) -> Option<&MujocoError> {
 fn of_randomise(error: &RandomiseError) -> Option<&MujocoError> {
     match error {
         RandomiseError::Mujoco(engine) => Some(engine),
-        RandomiseError::Rule { .. } => None,
+        RandomiseError::Rule { .. } | RandomiseError::Ensemble { .. } => None,
     }
 }

@@ -10,10 +10,13 @@ mod eval;
 mod record;
 mod recording;
 mod replay;
+mod sysid;
 mod train;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Parser, Subcommand};
 
@@ -51,6 +54,7 @@ enum Command {
     /// Run a trajectory again that broke down in training
     Replay(replay::ReplayArgs),
     Recording(recording::RecordingArgs),
+    Sysid(sysid::SysidArgs),
 }
 
 impl Cli {
@@ -67,6 +71,7 @@ impl Cli {
             Command::Replay(args) => args.run(),
             Command::Record(args) => args.run(),
             Command::Recording(args) => args.run(),
+            Command::Sysid(args) => args.run(),
         }
     }
 }
@@ -106,6 +111,21 @@ fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, CliError>
             reason: error.message().replace('\n', ", "),
         }
     })
+}
+
+/// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once. `message` says what is done before the end.
+fn interruption(message: &'static str) -> Arc<AtomicBool> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let seen = Arc::clone(&flag);
+    // without a handler Ctrl-C simply ends the program, and what was saved stands
+    let _ = ctrlc::set_handler(move || {
+        if seen.swap(true, Ordering::SeqCst) {
+            #[allow(clippy::exit)] // the user asked twice
+            std::process::exit(130);
+        }
+        eprintln!("\n{message}; Ctrl-C again to stop at once");
+    });
+    flag
 }
 
 /// Worker threads: as asked, else one a core.

@@ -2,15 +2,15 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 
-use super::{CliError, count, load_model, model_path, positive, thread_count};
+use super::{CliError, count, interruption, load_model, model_path, positive, thread_count};
+use crate::randomise::Ensemble;
 use crate::rollout::Diverged;
 use crate::run_dir::{self, Metrics, PROVENANCE_FILE, Provenance, RunDir};
 use crate::train::config::TrainConfig;
@@ -33,12 +33,16 @@ const DUMP_LIMIT: u64 = 100;
   phantom train                                     the paper's task with shipped settings
   phantom train --seed 3 --out runs/seed3
   phantom train --config examples/ensemble.toml --iterations 100
+  phantom train --model id/model.xml --ensemble id/ensemble.toml     models drawn by `phantom sysid`
   phantom train --resume runs/seed3                 continue to the configured number of iterations
   phantom train --resume runs/seed3 --iterations 200")]
 pub(super) struct TrainArgs {
     /// Settings (TOML); what it does not name keeps its default
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
+    /// Models to train on, drawn by `phantom sysid`: its ensemble.toml
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "resume")]
+    ensemble: Option<PathBuf>,
     /// Model (MJCF) [default: xml/phantom.xml]
     #[arg(long, value_name = "FILE.xml")]
     model: Option<PathBuf>,
@@ -71,6 +75,13 @@ pub(super) struct Dump {
     pub(super) diverged: Diverged,
 }
 
+/// What `phantom sysid` writes for training.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct EnsembleFile {
+    pub(super) ensemble: Ensemble,
+}
+
 /// A run folder with everything open.
 struct Run {
     dir: RunDir,
@@ -85,7 +96,7 @@ impl TrainArgs {
             Some(dir) => self.resume(dir)?,
             None => self.begin()?,
         };
-        let interrupted = interruption();
+        let interrupted = interruption("finishing this iteration");
         let total = run.trainer.config().train.iterations;
         let bar = progress(total, run.trainer.checkpoint().iteration);
         let begin = Instant::now();
@@ -126,6 +137,10 @@ impl TrainArgs {
             None => TrainConfig::default(),
         };
         self.override_config(&mut config);
+        if let Some(file) = &self.ensemble {
+            let table: EnsembleFile = super::read_toml(file)?;
+            config.ensemble = Some(table.ensemble);
+        }
         let path = std::path::absolute(model_path(self.model.as_deref()))
             .unwrap_or_else(|_| model_path(self.model.as_deref()));
         let threads = thread_count(self.threads);
@@ -266,21 +281,6 @@ impl Run {
         let breakdowns = self.trainer.unreported_breakdowns().take(left);
         self.dump(state.iteration + 1, breakdowns)
     }
-}
-
-/// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once.
-fn interruption() -> Arc<AtomicBool> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let seen = Arc::clone(&flag);
-    // without a handler Ctrl-C simply ends the program, and the last checkpoint stands
-    let _ = ctrlc::set_handler(move || {
-        if seen.swap(true, Ordering::SeqCst) {
-            #[allow(clippy::exit)] // the user asked twice
-            std::process::exit(130);
-        }
-        eprintln!("\nfinishing this iteration; Ctrl-C again to stop at once");
-    });
-    flag
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, CliError> {

@@ -6,7 +6,7 @@ use super::forces::{Forces, Signal};
 use super::policy::Tracking;
 use super::rollouts::{Growth, Rollouts};
 use super::{Comparison, Settings};
-use crate::report::{Chart, Line, Report, Section, Table};
+use crate::report::{Chart, Line, Report, Section, Table, number};
 
 /// Recordings of which every signal is drawn; tables have them all.
 const DRAWN: usize = 3;
@@ -208,17 +208,4 @@ fn tracking(all: &[Tracking]) -> Section {
         );
     }
     section
-}
-
-/// Four significant digits.
-fn number(value: f64) -> String {
-    let size = value.abs();
-    if size == 0.0 {
-        "0".to_owned()
-    } else if (1e-3..1e5).contains(&size) {
-        let digits = (3.0 - size.log10().floor()).max(0.0) as usize;
-        format!("{value:.digits$}")
-    } else {
-        format!("{value:.3e}")
-    }
 }

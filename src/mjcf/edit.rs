@@ -8,7 +8,7 @@ use crate::mujoco::{Model, ModelEdit};
 
 /// Arrays no derived constant depends on. Nor does one on `body_pos` of a body fixed to the world: moving a whole
 /// mechanism changes no inertia.
-const SURFACE: &[&str] = &[
+pub(crate) const SURFACE: &[&str] = &[
     "geom_friction",
     "geom_solref",
     "geom_solimp",

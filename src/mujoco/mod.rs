@@ -21,6 +21,7 @@ mod data;
 mod dynamics;
 mod edit;
 mod error;
+mod fingerprint;
 mod guard;
 mod kinds;
 mod measures;

@@ -12,14 +12,19 @@
 //! distribution = { normal = 0.005 }
 //! ```
 
+mod ensemble;
 mod resolve;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+pub use ensemble::Ensemble;
+
 use crate::mjcf::attribute::bounding_radius;
+use crate::mjcf::edit::SURFACE;
 use crate::mujoco::{Data, Model, ModelEdit, MujocoError};
 use crate::rng::{self, Stream};
+use ensemble::Entry;
 
 /// What can be wrong with a rule.
 #[derive(Debug, Error)]
@@ -35,6 +40,12 @@ pub enum RandomiseError {
         element: String,
         /// as configured
         attribute: String,
+        /// what is wrong
+        reason: String,
+    },
+    /// The ensemble does not fit this model.
+    #[error("ensemble: {reason}")]
+    Ensemble {
         /// what is wrong
         reason: String,
     },
@@ -94,17 +105,6 @@ struct Slot {
     nominal: f64,
 }
 
-/// Arrays no derived constant depends on. Nor does one on `body_pos` of a body fixed to the world: moving a whole
-/// mechanism changes no inertia.
-const SURFACE: [&str; 6] = [
-    "geom_friction",
-    "geom_solref",
-    "geom_solimp",
-    "pair_friction",
-    "pair_solref",
-    "pair_solimp",
-];
-
 #[derive(Debug, Clone)]
 struct Target {
     slot: Slot,
@@ -141,6 +141,9 @@ pub struct Randomiser {
     inertial: bool,
     /// geoms whose size is drawn: their bounding radius, which the engine only computes when it compiles, follows
     resized: Vec<usize>,
+    /// numbers of the ensemble, and a row of values a model
+    entries: Vec<Entry>,
+    models: Vec<Vec<f64>>,
 }
 
 impl Randomiser {
@@ -172,7 +175,29 @@ impl Randomiser {
             targets,
             inertial,
             resized,
+            ..Self::default()
         })
+    }
+
+    /// Also take a row of `ensemble` for each draw, before the rules act.
+    ///
+    /// # Errors
+    /// A table that is not whole, or was drawn for another model.
+    pub fn with_ensemble(
+        mut self,
+        model: &Model,
+        ensemble: &Ensemble,
+    ) -> Result<Self, RandomiseError> {
+        self.entries = ensemble
+            .resolve(model)
+            .map_err(|reason| RandomiseError::Ensemble { reason })?;
+        self.inertial |= self
+            .entries
+            .iter()
+            .filter_map(|entry| entry.array())
+            .any(|array| !SURFACE.contains(&array) && array != "geom_rbound");
+        self.models.clone_from(&ensemble.models);
+        Ok(self)
     }
 
     /// Draw every target from its nominal value into the model of `data`, which should be reset afterwards.
@@ -180,14 +205,22 @@ impl Randomiser {
     /// # Errors
     /// When the engine refuses the drawn model.
     pub fn draw(&self, data: &mut Data, rng: &mut Stream) -> Result<(), RandomiseError> {
-        if self.targets.is_empty() {
+        if self.targets.is_empty() && self.models.is_empty() {
             return Ok(());
         }
+        // no random number is used up where there is no ensemble: older runs keep their bits
+        let row = (!self.models.is_empty()).then(|| {
+            let at = rng::uniform(rng, 0.0, self.models.len() as f64) as usize;
+            &self.models[at.min(self.models.len() - 1)]
+        });
         data.edit_model(|edit| {
             for target in &self.targets {
                 for slot in std::iter::once(&target.slot).chain(&target.followers) {
                     slot.set(edit, slot.nominal);
                 }
+            }
+            for (entry, value) in self.entries.iter().zip(row.into_iter().flatten()) {
+                entry.set(edit, *value);
             }
             for target in &self.targets {
                 let around = target.slot.get(edit);

@@ -11,6 +11,7 @@ use mcap::records::{ChunkHeader, Record, op};
 
 use super::RecordingError;
 use super::load::Loaded;
+use super::mcap_lengths;
 use super::mcap_streams::Streams;
 
 /// Name of the metadata record.
@@ -137,7 +138,7 @@ impl<R: Read> Reader<R> {
         if opcode != op::CHUNK {
             return self.streams.record(opcode, body);
         }
-        let Record::Chunk { header, data } = mcap::parse_record(opcode, body)? else {
+        let Record::Chunk { header, data } = mcap_lengths::parse(opcode, body)? else {
             return Ok(());
         };
         let mut chunk = std::mem::take(&mut self.chunk);
@@ -164,7 +165,7 @@ impl<R: Read> Reader<R> {
     fn end(&mut self, length: u64) -> Result<(), Stop> {
         let mut body = Vec::new();
         read_body(&mut self.input, length, &mut body)?;
-        let Record::DataEnd(end) = mcap::parse_record(op::DATA_END, &body)? else {
+        let Record::DataEnd(end) = mcap_lengths::parse(op::DATA_END, &body)? else {
             return Ok(());
         };
         let found = std::mem::take(&mut self.crc).finalize();

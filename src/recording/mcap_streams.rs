@@ -6,6 +6,7 @@ use std::path::Path;
 use mcap::records::{Channel as Topic, Record, op};
 
 use super::load::Loaded;
+use super::mcap_lengths;
 use super::mcap_read::{CHANNELS, RATE, RECORDING, Stop, ZERO};
 use super::{Channel, Kind, Meta, Recording, RecordingError, Stream, row};
 
@@ -44,11 +45,11 @@ impl Streams {
     pub(super) fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), Stop> {
         match opcode {
             op::MESSAGE => self.message(body),
-            op::CHANNEL => match mcap::parse_record(opcode, body)? {
+            op::CHANNEL => match mcap_lengths::parse(opcode, body)? {
                 Record::Channel(topic) => self.topic(topic),
                 _ => Ok(()),
             },
-            op::METADATA => match mcap::parse_record(opcode, body)? {
+            op::METADATA => match mcap_lengths::parse(opcode, body)? {
                 Record::Metadata(record) if record.name == RECORDING => self.meta(&record.metadata),
                 _ => Ok(()),
             },

@@ -18,6 +18,7 @@ mod csv_read;
 mod csv_write;
 mod error;
 mod load;
+mod mcap_lengths;
 mod mcap_read;
 mod mcap_streams;
 mod mcap_write;
@@ -80,7 +81,7 @@ pub struct Stream {
 /// What is known of a recording as a whole.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Meta {
-    /// hash of the model file the machine is described by, if known
+    /// [`crate::mujoco::Model::fingerprint`] of the model that describes the machine, if known
     #[serde(default)]
     pub model_hash: String,
     /// start, nanoseconds since 1970; 0: unknown

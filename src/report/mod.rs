@@ -14,7 +14,7 @@ mod svg;
 mod table;
 
 pub use chart::{Axis, Chart, Line, Series};
-pub use table::Table;
+pub use table::{Table, number};
 
 use thiserror::Error;
 

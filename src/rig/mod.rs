@@ -322,6 +322,7 @@ impl Rig {
         Ok(Outcome {
             recording: Recording {
                 meta: Meta {
+                    model_hash: self.nominal.fingerprint()?,
                     source: "virtual rig".to_owned(),
                     trial: format!("{} {}", trial.label, trial.number),
                     ..Meta::default()

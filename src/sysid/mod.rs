@@ -22,18 +22,29 @@
 
 mod arrow;
 mod box_qp;
+pub mod ensemble;
+pub mod figures;
 pub mod fit;
+pub mod holdout;
+mod instrument;
+pub mod interval;
 pub mod inverse;
 pub mod joint;
+pub mod leave_out;
 mod linearise;
+mod long_run;
 mod manifold;
 mod newton;
 pub mod norm;
 pub mod parameter;
+pub mod predict;
 pub mod problem;
 mod rows;
+mod separate;
 pub mod shooting;
 mod start;
+mod student;
+pub mod summary;
 mod trial;
 
 use thiserror::Error;

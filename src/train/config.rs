@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::npg::{NpgConfig, NpgError};
-use crate::randomise::{Distribution, Rule};
+use crate::randomise::{Distribution, Ensemble, Rule};
 use crate::task::push::PushConfig;
 
 /// A setting out of range.
@@ -31,6 +31,9 @@ pub struct TrainConfig {
     pub npg: NpgConfig,
     /// model parameters drawn anew for each rollout
     pub randomise: Vec<Rule>,
+    /// models drawn beforehand, of which each rollout takes one; rules act on top of it
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ensemble: Option<Ensemble>,
 }
 
 /// Rollouts and schedule.

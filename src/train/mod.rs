@@ -141,7 +141,10 @@ impl Trainer {
         edit.set_timestep(config.train.timestep_s)?;
         edit.set_sensors(false); // observations are read from the state
         edit.finish()?;
-        let randomiser = Randomiser::new(&training_model, &config.rules())?;
+        let mut randomiser = Randomiser::new(&training_model, &config.rules())?;
+        if let Some(ensemble) = &config.ensemble {
+            randomiser = randomiser.with_ensemble(&training_model, ensemble)?;
+        }
         let rollout = RolloutConfig {
             horizon: config.horizon(),
             control_hold: config.train.control_hold,

@@ -1,0 +1,203 @@
+//! `phantom sysid`: parameters of a model from recordings.
+
+mod arguments;
+mod design;
+mod write;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use indicatif::ProgressBar;
+
+use self::arguments::FitArgs;
+use super::{CliError, interruption, load_model, model_path, read_toml};
+use crate::compare::Settings;
+use crate::sysid::fit::{Fit, Iteration, Start};
+use crate::sysid::joint::{self, JointSettings};
+use crate::sysid::problem::{Problem, ProblemConfig};
+use crate::sysid::summary::{Outcome, Summary};
+use crate::sysid::{holdout, leave_out};
+
+/// Identify parameters of a model from recordings
+///
+/// Estimates the parameters and the whole motion together, through contact. Writes into DIR: model.xml (the model file
+/// with the identified numbers), sysid.json, report.html, the estimated motion (motion-*.mcap), and ensemble.toml, models
+/// drawn from the posterior that `phantom train --ensemble` takes.
+///
+/// Exit code 0: done; 1: not converged, or no better than the nominal model on held-out recordings. See docs/sysid.md.
+#[derive(Debug, Args)]
+#[command(
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    after_help = "Examples:
+  phantom sysid --model arm.xml --parameters arm.toml free.mcap --holdout other.mcap --out id
+  phantom sysid --parameters finger.toml sine.mcap chirp.mcap --holdout postures.mcap --out id --ensemble 64
+  phantom sysid --model emps.xml --parameters emps.toml log.csv --binding emps_binding.toml --out id --json
+  phantom sysid --model arm.xml --parameters arm.toml log.mcap --out id --leave-one-sensor-out
+  phantom sysid design --model arm.xml --parameters arm.toml          what to record next"
+)]
+pub(super) struct SysidArgs {
+    #[command(subcommand)]
+    command: Option<SysidCommand>,
+    #[command(flatten)]
+    fit: FitArgs,
+}
+
+#[derive(Debug, Subcommand)]
+enum SysidCommand {
+    Design(design::DesignArgs),
+}
+
+impl SysidArgs {
+    pub(super) fn run(self) -> Result<ExitCode, CliError> {
+        match self.command {
+            Some(SysidCommand::Design(args)) => args.run(),
+            None => self.fit.run(),
+        }
+    }
+}
+
+/// Shows iterations, and says when to stop.
+struct Watch {
+    bar: ProgressBar,
+    interrupted: Arc<AtomicBool>,
+    stage: String,
+    n: u64,
+}
+
+impl Watch {
+    fn new() -> Self {
+        let bar = ProgressBar::new_spinner();
+        bar.enable_steady_tick(Duration::from_millis(100));
+        Self {
+            bar,
+            interrupted: interruption("keeping the best so far"),
+            stage: String::new(),
+            n: 0,
+        }
+    }
+
+    fn begin(&mut self, stage: &str) {
+        stage.clone_into(&mut self.stage);
+        self.n = 0;
+        self.bar.set_message(stage.to_owned());
+    }
+
+    fn see(&mut self, i: &Iteration) -> bool {
+        self.n += 1;
+        self.bar.set_message(format!(
+            "{} · iteration {} · unexplained {:.0e} · cost {:.6e} · step {:.1e}",
+            self.stage, self.n, i.level, i.cost, i.step
+        ));
+        !self.stopped()
+    }
+
+    fn stopped(&self) -> bool {
+        self.interrupted.load(Ordering::SeqCst)
+    }
+}
+
+impl FitArgs {
+    fn run(&self) -> Result<ExitCode, CliError> {
+        let path = model_path(self.model.as_deref());
+        let model = Arc::new(load_model(&path)?);
+        let config: ProblemConfig = read_toml(self.parameters())?;
+        let recordings = self.recordings(&self.files)?;
+        let held_out = self.recordings(&self.holdout)?;
+        let settings = self.settings();
+        let rollouts: Settings = match &self.protocol {
+            Some(file) => read_toml(file)?,
+            None => Settings::default(),
+        };
+        rollouts.check()?;
+        let problem = Problem::new(Arc::clone(&model), &config, &recordings)?;
+        if problem.parameters.is_empty() {
+            return Err(CliError::File {
+                file: self.parameters().to_owned(),
+                reason: "there is no [[parameter]] to estimate".to_owned(),
+            });
+        }
+        if !held_out.is_empty() {
+            // a held-out recording that does not fit should not be found out after an hour
+            Problem::new(Arc::clone(&model), &config, &held_out)?;
+        }
+        let out = write::Folder::new(&self.out, &path, &problem)?;
+
+        let mut watch = Watch::new();
+        watch.begin("fit");
+        let fit = self.solve(&problem, &settings, &mut watch)?;
+        let outcome = Outcome::new(&problem, &fit)?;
+        let mut summary = outcome.summary.clone();
+        if !held_out.is_empty() && !watch.stopped() {
+            watch.begin("held-out");
+            summary.holdout = holdout::test(
+                &problem,
+                &fit,
+                &config,
+                &held_out,
+                &settings,
+                &rollouts,
+                &mut |i| watch.see(i),
+            )?;
+        }
+        if self.leave_one_sensor_out {
+            for sensor in leave_out::sensors(&problem) {
+                if watch.stopped() {
+                    break;
+                }
+                watch.begin(&format!("without {sensor}"));
+                let rows = leave_out::without(
+                    &problem,
+                    &fit,
+                    &config,
+                    &recordings,
+                    &sensor,
+                    &settings,
+                    &mut |i| watch.see(i),
+                )?;
+                summary
+                    .leave_one_sensor_out
+                    .extend(rows.unwrap_or_default());
+            }
+        }
+        watch.begin("writing");
+        let written = out.write(self, &problem, &fit, &outcome, &summary)?;
+        watch.bar.finish_and_clear();
+        self.print(&summary, &written);
+        Ok(ExitCode::from(u8::from(!summary.is_good())))
+    }
+
+    fn solve(
+        &self,
+        problem: &Problem,
+        settings: &JointSettings,
+        watch: &mut Watch,
+    ) -> Result<Fit, CliError> {
+        let start = Start {
+            x: problem.parameters.start(),
+            trajectories: None,
+            force_scale: None,
+        };
+        Ok(joint::solve(problem, settings, &start, &mut |i| {
+            watch.see(i)
+        })?)
+    }
+
+    fn print(&self, summary: &Summary, written: &write::Written) {
+        if self.json {
+            println!("{}", written.json);
+            return;
+        }
+        for table in write::tables(summary) {
+            println!("{}", table.text());
+        }
+        for line in crate::sysid::figures::sentences(summary) {
+            println!("{line}");
+        }
+        println!("model: {}", written.model.display());
+        println!("report: {}", written.report.display());
+    }
+}
