@@ -62,10 +62,11 @@ pub fn sentences(summary: &Summary) -> Vec<String> {
                 Verdict::NotBetter => "Not better",
             };
             format!(
-                "{verdict} on held-out recordings: the cost a knot falls by {} ± {} (nominal {}){rollouts}.",
+                "{verdict} on held-out recordings: the cost a knot goes from {} to {} (difference {} ± {}){rollouts}.",
+                number(h.nominal.cost_per_knot),
+                number(h.identified.cost_per_knot),
                 number(h.gain),
                 number(2.0 * h.gain_sigma),
-                number(h.nominal.cost_per_knot),
             )
         }
     });
@@ -136,7 +137,7 @@ pub fn parameter_table(parameters: &[Estimate]) -> Table {
         };
         let spread = match (p.x_sigma.filter(|_| p.interval.is_some()), p.scale) {
             (None, _) => String::new(),
-            (Some(s), Scale::Log) => format!("{:.2} %", 100.0 * s),
+            (Some(s), Scale::Log) => format!("{} %", number(100.0 * s)),
             (Some(s), Scale::Linear) => number(s),
         };
         let label = match p.label {

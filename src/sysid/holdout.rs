@@ -14,13 +14,12 @@ use serde::Serialize;
 use super::SysidError;
 use super::fit::{Fit, Iteration, Start};
 use super::joint::{self, JointSettings};
-use super::long_run::{Spectrum, Trials};
 use super::parameter::{Parameter, Parameters};
 use super::predict::{
     ChannelResidual, Explained, ForceResidual, channel_residuals, explain, force_residuals,
 };
 use super::problem::{Problem, ProblemConfig, Setting};
-use super::{ensemble, instrument};
+use super::{ensemble, instrument, long_run};
 use crate::compare::{self, CompareError, Settings, rollouts::Rollouts};
 use crate::mujoco::Model;
 use crate::recording::Recording;
@@ -247,16 +246,7 @@ fn difference(a: &[Vec<f64>], b: &[Vec<f64>]) -> (f64, f64) {
     let series: Vec<Vec<f64>> = (a.iter().zip(b))
         .map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect())
         .collect();
-    let n = series.iter().map(Vec::len).sum::<usize>() as f64;
-    let mean = series.iter().flatten().sum::<f64>() / n;
-    let centred: Vec<Vec<f64>> = (series.iter())
-        .map(|s| s.iter().map(|d| d - mean).collect())
-        .collect();
-    let spectrum = Spectrum::new(&Trials {
-        columns: 1,
-        series: centred.iter().map(Vec::as_slice).collect(),
-    });
-    (mean, spectrum.long_run(0).variance.sqrt() / n)
+    long_run::mean(&series)
 }
 
 /// Rollouts of both models.

@@ -1,16 +1,16 @@
 //! What the recordings say about the parameters, and how surely.
 //!
-//! The innovations of a fit (rows sᵢ of sensitivities and values eᵢ, the trajectory marginalised) give the scores
-//! gᵢ = sᵢ eᵢ, which add up to the gradient, and the information. The covariance is the sandwich
+//! The innovations of a fit (rows sᵢ of sensitivities and values eᵢ, the trajectory marginalised) carry the information
+//! A = Σ sᵢ sᵢᵀ. The covariance of the estimates is
 //!
 //! ```text
-//! C = H⁻¹ (L + P) H⁻¹        H = A + P      A = Σ sᵢ sᵢᵀ      L = Var Σ gᵢ      P = diag(1/σ_prior²)
+//! C = H⁻¹ (L + P) H⁻¹        H = A + P        L = Var Σ sᵢ eᵢ        P = diag(1/σ_prior²)
 //! ```
 //!
 //! L = A only if every channel's noise is white and of the size that was assumed. It is not: quantised encoders,
-//! filters and forces that nothing explains are correlated over many samples. So L is estimated from the scores of the
-//! recordings themselves, see [`super::long_run`], each parameter's with as many degrees of freedom as the data allow;
-//! 95 % intervals take Student's t.
+//! filters and forces that nothing explains are correlated over many samples. How much more each estimate scatters is
+//! taken from the recordings themselves (see `long_run`), each parameter's factor with as many degrees of freedom as the
+//! data allow; 95 % intervals take Student's t. Correlations are those of H⁻¹.
 //!
 //! Parameters at a bound are held there; the intervals of the others are given that.
 
@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::Serialize;
 
 use super::fit::Innovations;
-use super::long_run::{Spectrum, Trials};
+use super::long_run::Rows;
 use super::parameter::{Parameter, Parameters, Scale};
 use super::separate::{self, Combination};
 use super::student::two_sided_t;
@@ -82,8 +82,6 @@ pub struct Posterior {
     pub estimates: Vec<Estimate>,
     /// (free × free) covariance of x; rows of parameters at a bound are 0
     pub covariance: DMatrix<f64>,
-    /// (free × free) information of the recordings alone, as if noise were white
-    pub information: DMatrix<f64>,
     /// what cannot be told apart
     pub inseparable: Vec<Combination>,
 }
@@ -99,14 +97,13 @@ impl Posterior {
         let n = x.len();
         let free: Vec<&Parameter> = parameters.iter_free().collect();
         let at_bound: Vec<bool> = free.iter().zip(x).map(|(p, &x)| on_bound(p, x)).collect();
-        let (information, scores) = gather(n, innovations, lengths);
         let open: Vec<usize> = (0..n).filter(|&i| !at_bound[i]).collect();
-        let spread = Spread::new(&free, &open, &information, &scores);
+        let spread = Spread::new(&free, &open, innovations, lengths);
 
         let mut covariance = DMatrix::zeros(n, n);
         for (r, &i) in open.iter().enumerate() {
             for (c, &j) in open.iter().enumerate() {
-                covariance[(i, j)] = spread.covariance[(r, c)];
+                covariance[(i, j)] = spread.covariance[(r, c)] * free[i].typical * free[j].typical;
             }
         }
         let mut estimates: Vec<Estimate> = parameters.all.iter().map(held).collect();
@@ -137,11 +134,10 @@ impl Posterior {
             }
         }
         let weak: Vec<&Parameter> = open.iter().map(|&i| free[i]).collect();
-        let inseparable = separate::combinations(&weak, &spread.robust_information);
+        let inseparable = separate::combinations(&weak, &spread.information);
         Self {
             estimates,
             covariance,
-            information,
             inseparable,
         }
     }
@@ -178,104 +174,64 @@ fn on_bound(p: &Parameter, x: f64) -> bool {
     (lower.is_finite() && x - lower <= near) || (upper.is_finite() && upper - x <= near)
 }
 
-/// Information, and per trial the scores of every knot (knots × n).
-fn gather(n: usize, innovations: &Innovations, lengths: &[usize]) -> (DMatrix<f64>, Vec<Vec<f64>>) {
-    let mut information = DMatrix::zeros(n, n);
-    let mut scores: Vec<Vec<f64>> = lengths.iter().map(|k| vec![0.0; k * n]).collect();
-    let rows = innovations.rows.chunks_exact(n + 1);
-    for (row, &(trial, knot)) in rows.zip(&innovations.places) {
-        let (s, e) = (&row[..n], row[n]);
-        for i in 0..n {
-            for j in 0..n {
-                information[(i, j)] += s[i] * s[j];
-            }
-            scores[trial][knot * n + i] += s[i] * e;
-        }
-    }
-    (information, scores)
-}
-
-/// Covariance of the parameters that are on no bound.
+/// Covariance of the parameters that are on no bound, in units of their sizes.
 struct Spread {
     covariance: DMatrix<f64>,
     dof: Vec<f64>,
     inflation: Vec<f64>,
-    /// information of the recordings as their noise really is, scaled by the parameters' sizes
-    robust_information: DMatrix<f64>,
+    /// information of the recordings as their noise really is
+    information: DMatrix<f64>,
 }
 
 impl Spread {
     fn new(
         free: &[&Parameter],
         open: &[usize],
-        information: &DMatrix<f64>,
-        scores: &[Vec<f64>],
+        innovations: &Innovations,
+        lengths: &[usize],
     ) -> Self {
-        let (n, m) = (free.len(), open.len());
+        let m = open.len();
         let size = |k: usize| free[open[k]].typical;
-        // in units of the parameters' sizes
-        let a = DMatrix::from_fn(m, m, |i, j| {
-            information[(open[i], open[j])] * size(i) * size(j)
-        });
+        let rows = Rows {
+            rows: &innovations.rows,
+            width: free.len() + 1,
+            places: &innovations.places,
+            lengths,
+            columns: (0..m).map(|i| (open[i], size(i))).collect(),
+        };
+        let a = rows.information();
         let prior = DVector::from_fn(m, |i, _| {
             (size(i) / free[open[i]].prior_sigma).powi(2) + LEAST_INFORMATION
         });
         let inverse = inverse(&(&a + DMatrix::from_diagonal(&prior)));
-        // the influence of each knot on each parameter, H⁻¹ g
-        let influence: Vec<Vec<f64>> = scores
-            .iter()
-            .map(|trial| {
-                let mut out = Vec::with_capacity(trial.len() / n.max(1) * m);
-                for row in trial.chunks_exact(n.max(1)) {
-                    let g = DVector::from_fn(m, |i, _| row[open[i]] * size(i));
-                    out.extend_from_slice((&inverse * g).as_slice());
-                }
-                out
-            })
-            .collect();
-        let spectrum = Spectrum::new(&Trials {
-            columns: m,
-            series: influence.iter().map(Vec::as_slice).collect(),
-        });
         let by_prior = &inverse * DMatrix::from_diagonal(&prior) * &inverse;
         let white = &inverse * &a * &inverse;
-        let (mut sigma, mut dof, mut inflation) = (Vec::new(), Vec::new(), Vec::new());
-        let mut used = Vec::new();
+        let (mut scale, mut dof, mut inflation) = (Vec::new(), Vec::new(), Vec::new());
         for i in 0..m {
-            let found = spectrum.long_run(i);
-            let by_data = found.variance.max(LEAST_INFLATION * white[(i, i)]);
+            let found = rows.inflation(&inverse.column(i).into(), &inverse);
+            let factor = found.factor.max(LEAST_INFLATION);
+            let by_data = factor * white[(i, i)];
             let variance = by_data + by_prior[(i, i)];
-            sigma.push(variance.sqrt() * size(i));
+            scale.push((variance / inverse[(i, i)]).sqrt());
             // the prior's part is known (Welch and Satterthwaite)
             dof.push(found.dof * (variance / by_data.max(f64::MIN_POSITIVE)).powi(2));
-            inflation.push(by_data / white[(i, i)].max(f64::MIN_POSITIVE));
-            used.push(found.used);
+            inflation.push(factor);
         }
-        used.sort_unstable();
-        // a matrix of full rank needs more samples than columns
-        let common = used.get(m / 2).copied().unwrap_or(0).max(2 * m);
-        let joint = DMatrix::from_vec(m, m, spectrum.covariance(common)) + by_prior;
-        let covariance = DMatrix::from_fn(m, m, |i, j| {
-            let scale = (joint[(i, i)] * joint[(j, j)]).sqrt();
-            let correlation = if scale > 0.0 {
-                joint[(i, j)] / scale
-            } else {
-                0.0
-            };
-            if i == j {
-                sigma[i] * sigma[i]
-            } else {
-                correlation * sigma[i] * sigma[j]
-            }
-        });
-        let robust_information = DMatrix::from_fn(m, m, |i, j| {
-            a[(i, j)] / (inflation[i] * inflation[j]).sqrt().max(1e-12)
-        });
+        // of single scores, as estimates mix what is known well with what is not known at all
+        let own: Vec<f64> = (0..m)
+            .map(|i| {
+                let unit = DVector::from_fn(m, |j, _| f64::from(u8::from(i == j)));
+                rows.inflation(&unit, &inverse)
+                    .factor
+                    .max(LEAST_INFLATION)
+                    .sqrt()
+            })
+            .collect();
         Self {
-            covariance,
+            covariance: DMatrix::from_fn(m, m, |i, j| inverse[(i, j)] * scale[i] * scale[j]),
             dof,
             inflation,
-            robust_information,
+            information: DMatrix::from_fn(m, m, |i, j| a[(i, j)] / (own[i] * own[j])),
         }
     }
 }

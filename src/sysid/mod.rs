@@ -22,6 +22,7 @@
 
 mod arrow;
 mod box_qp;
+pub mod design;
 pub mod ensemble;
 pub mod figures;
 pub mod fit;

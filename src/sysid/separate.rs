@@ -102,37 +102,45 @@ fn describe(parameters: &[&Parameter], direction: &[f64]) -> Combination {
 
 fn pair(a: (&Parameter, f64), b: (&Parameter, f64)) -> String {
     let names = format!("{} and {}", words(a.0), words(b.0));
-    let both = |scale| a.0.scale == scale && b.0.scale == scale;
-    // of linear parameters the change in their own unit counts
-    let (da, db) = if both(Scale::Linear) {
-        (a.1 * a.0.typical, b.1 * b.0.typical)
+    let alike = |x: f64, y: f64| (x.abs() / y.abs()).ln().abs() < EQUAL;
+    let (da, db) = (a.1 * a.0.typical, b.1 * b.0.typical); // in units, where linear
+    let kind = if a.0.scale == Scale::Linear && b.0.scale == Scale::Linear && alike(da, db) {
+        if da * db > 0.0 { "difference" } else { "sum" }
+    } else if alike(a.1, b.1) && relative(a.0) && relative(b.0) {
+        if growth(a) * growth(b) > 0.0 {
+            "ratio"
+        } else {
+            "product"
+        }
     } else {
-        (a.1, b.1)
-    };
-    let equal = (da.abs() / db.abs()).ln().abs() < EQUAL;
-    let same = da * db > 0.0;
-    let kind = match (both(Scale::Log), both(Scale::Linear), equal, same) {
-        (true, _, true, true) => "ratio",
-        (true, _, true, false) => "product",
-        (_, true, true, true) => "difference",
-        (_, true, true, false) => "sum",
-        _ => return several(&[a, b]),
+        return several(&[a, b]);
     };
     format!("{names} only as a {kind}")
 }
 
+/// Whether a change by the parameter's size is one by its own value.
+fn relative(p: &Parameter) -> bool {
+    p.scale == Scale::Log || p.start.abs() >= p.typical
+}
+
+/// Part by which the magnitude grows along the direction.
+fn growth((p, weight): (&Parameter, f64)) -> f64 {
+    match p.scale {
+        Scale::Log => weight,
+        Scale::Linear => weight * p.start.signum(),
+    }
+}
+
 /// What makes up for what.
 fn several(parts: &[(&Parameter, f64)]) -> String {
-    let change = |(p, v): &(&Parameter, f64), base: f64| match p.scale {
-        Scale::Log => format!("{} {:+.0} %", words(p), 10.0 * v / base),
-        Scale::Linear => format!(
-            "{} {:+.2e} {}",
-            words(p),
-            0.1 * v / base * p.typical,
-            p.unit
-        )
-        .trim_end()
-        .to_owned(),
+    let change = |part: &(&Parameter, f64), base: f64| {
+        let (p, part) = (part.0, 0.1 * part.1 / base);
+        if relative(p) {
+            format!("{} {:+.0} %", words(p), 100.0 * growth((p, part)))
+        } else {
+            let text = format!("{} {:+.2e} {}", words(p), part * p.typical, p.unit);
+            text.trim_end().to_owned()
+        }
     };
     let base = parts[0].1;
     let others: Vec<String> = parts[1..].iter().map(|p| change(p, base)).collect();
@@ -167,16 +175,15 @@ mod tests {
 
     fn parameters() -> Parameters {
         let model = Model::from_xml_str(MODEL).expect("loads");
-        let log = |element: &str, attribute: &str| ParameterRule {
-            scale: Some(Scale::Log),
+        let rule = |element: &str, attribute: &str| ParameterRule {
             components: if attribute == "gear" { vec![0] } else { vec![] },
             ..ParameterRule::new(element, attribute)
         };
         let rules = [
-            log("body/a", "mass"),
-            log("body/b", "mass"),
-            log("actuator/m", "gear"),
-            log("joint/*", "damping"),
+            rule("body/a", "mass"),
+            rule("body/b", "mass"),
+            rule("actuator/m", "gear"),
+            rule("joint/*", "damping"),
             ParameterRule {
                 components: vec![0, 1],
                 ..ParameterRule::new("body/b", "pos")
@@ -198,7 +205,7 @@ mod tests {
     fn says_what_is_known_only_together() {
         // mass a / gear, mass b · damping ja, position difference, nothing of damping jb
         let texts = of(&[
-            [1., 0., -1., 0., 0., 0., 0.],
+            [1., 0., -0.5, 0., 0., 0., 0.],
             [0., 1., 0., 1., 0., 0., 0.],
             [0., 0., 0., 0., 0., 1., -1.],
         ]);
@@ -231,7 +238,10 @@ mod tests {
             ["a change of mass of a +10 % is made up for by mass of b -20 %"]
         );
         // two of three: they grow together
-        let texts = every(&[[1., -1., 0., 0., 0., 0., 0.], [0., 1., -1., 0., 0., 0., 0.]]);
+        let texts = every(&[
+            [1., -1., 0., 0., 0., 0., 0.],
+            [0., 1., -0.5, 0., 0., 0., 0.],
+        ]);
         assert_eq!(
             texts,
             [

@@ -2,6 +2,7 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod coverage;
 mod inverse;
 mod mjcf;
 mod push;
