@@ -35,6 +35,7 @@ pub mod leave_out;
 mod linearise;
 mod long_run;
 mod manifold;
+pub mod method;
 mod newton;
 pub mod norm;
 pub mod parameter;

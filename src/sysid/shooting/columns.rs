@@ -44,17 +44,18 @@ impl Point<'_> {
     /// Every window simulated; `None` for those that diverge.
     pub(super) fn simulate(&self) -> Result<Vec<Option<Simulated>>, SysidError> {
         let controls = self.controls(self.x);
-        let parts: Vec<Result<Vec<Option<Simulated>>, SysidError>> = (self.chunks(1).into_par_iter())
-            .map(|(from, to)| {
-                let mut simulator = Simulator::new(self.problem, self.x)?;
-                (from..to)
-                    .map(|w| {
-                        let window = &self.windows[w];
-                        simulator.run(window, &self.states[w], &controls[window.trial])
-                    })
-                    .collect()
-            })
-            .collect();
+        let parts: Vec<Result<Vec<Option<Simulated>>, SysidError>> =
+            (self.chunks(1).into_par_iter())
+                .map(|(from, to)| {
+                    let mut simulator = Simulator::new(self.problem, self.x)?;
+                    (from..to)
+                        .map(|w| {
+                            let window = &self.windows[w];
+                            simulator.run(window, &self.states[w], &controls[window.trial])
+                        })
+                        .collect()
+                })
+                .collect();
         let mut all = Vec::with_capacity(self.windows.len());
         for part in parts {
             all.extend(part?);
@@ -73,7 +74,14 @@ impl Point<'_> {
         if free_states {
             changes.extend((0..n_state).map(|j| {
                 let position = j < n_state / 2;
-                (j, if position { STEP_POSITION } else { STEP_VELOCITY })
+                (
+                    j,
+                    if position {
+                        STEP_POSITION
+                    } else {
+                        STEP_VELOCITY
+                    },
+                )
             }));
         }
         for (j, parameter) in self.problem.parameters.iter_free().enumerate() {
@@ -131,7 +139,11 @@ impl Point<'_> {
                 moved_controls = self.controls(&x);
             }
         }
-        let controls = if moved_controls.is_empty() { controls } else { &moved_controls };
+        let controls = if moved_controls.is_empty() {
+            controls
+        } else {
+            &moved_controls
+        };
         let mut simulator = Simulator::new(self.problem, &x)?;
         (from..to)
             .map(|w| {
@@ -154,14 +166,21 @@ impl Point<'_> {
     /// Of every trial (knots × nu).
     fn controls(&self, x: &[f64]) -> Vec<Vec<f64>> {
         let trials = self.problem.trials.iter();
-        trials.map(|trial| self.problem.controls(trial, x)).collect()
+        trials
+            .map(|trial| self.problem.controls(trial, x))
+            .collect()
     }
 
     /// Windows in runs that keep all cores busy with `n` tasks each.
     fn chunks(&self, n: usize) -> Vec<(usize, usize)> {
         let windows = self.windows.len();
-        let size = (n * windows).div_ceil(8 * rayon::current_num_threads()).clamp(1, windows);
-        (0..windows).step_by(size).map(|from| (from, (from + size).min(windows))).collect()
+        let size = (n * windows)
+            .div_ceil(8 * rayon::current_num_threads())
+            .clamp(1, windows);
+        (0..windows)
+            .step_by(size)
+            .map(|from| (from, (from + size).min(windows)))
+            .collect()
     }
 }
 

@@ -34,6 +34,7 @@ pub(super) struct Descent<'a> {
     states: Vec<State>,
     simulated: Vec<Simulated>,
     damping: f64,
+    history: Vec<Iteration>,
 }
 
 /// A step that lowers the cost.
@@ -62,6 +63,7 @@ impl<'a> Descent<'a> {
             states,
             simulated: Vec::new(),
             damping: FIRST_DAMPING,
+            history: Vec::new(),
         };
         let simulated = descent.point(&descent.x, &descent.states).simulate()?;
         let simulated: Option<Vec<Simulated>> = simulated.into_iter().collect();
@@ -73,12 +75,18 @@ impl<'a> Descent<'a> {
         Ok(descent)
     }
 
-    /// Descends to the end.
+    /// The same search over other parts of the windows.
+    pub(super) fn over(self, windows: Vec<Window>) -> Result<Self, SysidError> {
+        let history = self.history;
+        let next = Self::new(self.problem, self.settings, windows, self.x, self.states)?;
+        Ok(Self { history, ..next })
+    }
+
+    /// Descends as far as it goes.
     pub(super) fn run(
-        mut self,
+        &mut self,
         watch: &mut dyn FnMut(&Iteration) -> bool,
-    ) -> Result<Fit, SysidError> {
-        let mut history = Vec::new();
+    ) -> Result<Status, SysidError> {
         let mut status = Status::MaxIterations;
         let mut small = 0;
         for _ in 0..self.settings.max_iterations {
@@ -87,7 +95,11 @@ impl<'a> Descent<'a> {
             let cost = self.cost()?;
             let rows = self.rows()?;
             let Some(taken) = self.search(&rows, cost)? else {
-                status = if small > 0 { Status::Converged } else { Status::Stalled };
+                status = if small > 0 {
+                    Status::Converged
+                } else {
+                    Status::Stalled
+                };
                 break;
             };
             let decrease = (cost - taken.cost) / cost.max(f64::MIN_POSITIVE);
@@ -101,21 +113,23 @@ impl<'a> Descent<'a> {
             (self.x, self.states, self.simulated) = (taken.x, taken.states, taken.simulated);
             self.damping = (self.damping * 0.1).max(LEAST_DAMPING);
             let go_on = watch(&record);
-            history.push(record);
+            self.history.push(record);
             if !go_on {
                 status = Status::Interrupted;
                 break;
             }
             // twice in a row, as one small step may be the damping's doing
-            small = if decrease < self.settings.tolerance { small + 1 } else { 0 };
+            small = if decrease < self.settings.tolerance {
+                small + 1
+            } else {
+                0
+            };
             if small >= 2 || taken.cost < 1e-20 {
                 status = Status::Converged;
                 break;
             }
         }
-        let mut fit = self.conclude(status)?;
-        fit.history = history;
-        Ok(fit)
+        Ok(status)
     }
 
     fn point<'b>(&'b self, x: &'b [f64], states: &'b [State]) -> Point<'b> {
@@ -297,7 +311,7 @@ impl<'a> Descent<'a> {
     }
 
     /// The fit at the present point.
-    fn conclude(&mut self, status: Status) -> Result<Fit, SysidError> {
+    pub(super) fn conclude(mut self, status: Status) -> Result<Fit, SysidError> {
         self.placed = place(self.problem, &self.windows, &self.x);
         let cost = self.cost()?;
         let rows = self.rows()?;
@@ -327,8 +341,8 @@ impl<'a> Descent<'a> {
             level: 0.0,
             force_sigma: vec![0.0; self.problem.model.nv()],
             status,
-            history: Vec::new(),
             innovations: self.innovations(&rows, &arrows),
+            history: std::mem::take(&mut self.history),
             weakest,
         })
     }
@@ -344,7 +358,11 @@ impl<'a> Descent<'a> {
             .map(|j| {
                 let mut unit = vec![0.0; np];
                 unit[j] = 1.0;
-                self.changes(arrows, &unit).iter().zip(&origin).map(|(c, o)| c - o).collect()
+                self.changes(arrows, &unit)
+                    .iter()
+                    .zip(&origin)
+                    .map(|(c, o)| c - o)
+                    .collect()
             })
             .collect();
         let mut innovations = Innovations {

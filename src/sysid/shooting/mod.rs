@@ -31,18 +31,24 @@ mod rows;
 mod simulate;
 mod window;
 
-pub use super::fit::{Fit, Iteration, Start, Status};
 use super::SysidError;
+pub use super::fit::{Fit, Iteration, Start, Status};
 use super::problem::Problem;
 use super::start;
 use descent::Descent;
 use window::State;
+
+/// Factor by which the parts of windows grow.
+const GROWTH: f64 = 1.1;
 
 /// Settings of the solver.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShootingSettings {
     /// length of a window, s; a shorter recording is one window
     pub window_s: f64,
+    /// s of each window that are fitted first; more and more follow. Where the motion is chaotic, what the first
+    /// part tells brings the next one near enough. None: all at once
+    pub first_s: Option<f64>,
     /// velocity by which the motion may jump from window to window, m/s or rad/s; none: by any
     pub jump_sigma: Option<f64>,
     /// whether the first states of windows are estimated; else they are as they start
@@ -57,6 +63,7 @@ impl Default for ShootingSettings {
     fn default() -> Self {
         Self {
             window_s: 0.5,
+            first_s: None,
             jump_sigma: None,
             free_states: true,
             max_iterations: 50,
@@ -73,6 +80,7 @@ impl ShootingSettings {
     pub fn check(&self) -> Result<(), SysidError> {
         let positive = [
             ("window_s", Some(self.window_s)),
+            ("first_s", self.first_s),
             ("jump_sigma", self.jump_sigma),
             ("tolerance", Some(self.tolerance)),
         ];
@@ -80,7 +88,10 @@ impl ShootingSettings {
             // an endless window is the whole recording
             if value.is_some_and(|v| v.is_nan() || v <= 0.0) {
                 return Err(SysidError::Setting {
-                    reason: format!("{key} is {}, expected a positive number", value.unwrap_or(0.0)),
+                    reason: format!(
+                        "{key} is {}, expected a positive number",
+                        value.unwrap_or(0.0)
+                    ),
                 });
             }
         }
@@ -110,5 +121,25 @@ pub fn solve(
     let states = (windows.iter())
         .map(|w| State::on(problem, w, &trajectories[w.trial]))
         .collect::<Result<_, _>>()?;
-    Descent::new(problem, settings, windows, start.x.clone(), states)?.run(watch)
+    let mut reach = settings.first_s.map(|s| steps(problem, s));
+    let part = |steps: usize| -> Vec<_> { windows.iter().map(|w| w.up_to(steps)).collect() };
+    let longest = windows.iter().map(|w| w.last - w.first).max().unwrap_or(0);
+    let first = part(reach.unwrap_or(longest));
+    let mut descent = Descent::new(problem, settings, first, start.x.clone(), states)?;
+    loop {
+        let status = descent.run(watch)?;
+        match reach {
+            Some(steps) if steps < longest && status != Status::Interrupted => {
+                let steps = (steps as f64 * GROWTH).ceil() as usize;
+                reach = Some(steps);
+                descent = descent.over(part(steps))?;
+            }
+            _ => return descent.over(windows)?.conclude(status),
+        }
+    }
+}
+
+/// Steps of the model in some seconds, at least 1.
+fn steps(problem: &Problem, seconds: f64) -> usize {
+    ((seconds / problem.model.timestep()).round() as usize).max(1)
 }

@@ -31,7 +31,10 @@ impl Rows {
 
     /// The rows, each with its knot.
     pub(super) fn iter(&self) -> impl Iterator<Item = (usize, &[f64])> {
-        self.knots.iter().copied().zip(self.values.chunks_exact(self.width))
+        self.knots
+            .iter()
+            .copied()
+            .zip(self.values.chunks_exact(self.width))
     }
 }
 
@@ -70,7 +73,7 @@ impl Point<'_> {
             let predicted = channel.gain.value(&free) * z + channel.bias.value(&free);
             sum += channel.norm.cost((predicted - s.value) / channel.sigma);
         }
-        if let (Some(sigma), true) = (jump_sigma, window.followed) {
+        if let (Some(sigma), true) = (jump_sigma, window.followed && window.whole) {
             let sigma = self.jump_sigma(window, sigma);
             let jump = self.jump(w, simulated, &sigma)?;
             sum += 0.5 * jump.iter().map(|j| j * j).sum::<f64>();
@@ -125,7 +128,7 @@ impl Point<'_> {
             }
             row[width - 1] = weight * r;
         }
-        if let (Some(sigma), true) = (jump_sigma, window.followed) {
+        if let (Some(sigma), true) = (jump_sigma, window.followed && window.whole) {
             let sigma = self.jump_sigma(window, sigma);
             let jump = self.jump(w, simulated, &sigma)?;
             let by_next = self.by_next(w, simulated, &sigma, &jump)?;

@@ -68,7 +68,8 @@ impl<'a> Simulator<'a> {
         data.qpos_mut().copy_from_slice(&state.qpos);
         data.qvel_mut().copy_from_slice(&state.qvel);
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
-            data.ctrl_mut().copy_from_slice(&controls[k * nu..(k + 1) * nu]);
+            data.ctrl_mut()
+                .copy_from_slice(&controls[k * nu..(k + 1) * nu]);
             qpos.extend_from_slice(data.qpos());
             if k == window.last {
                 end.qpos.copy_from_slice(data.qpos());

@@ -11,6 +11,8 @@ pub(super) struct Window {
     pub last: usize,
     /// whether the motion goes on in the next window
     pub followed: bool,
+    /// whether it ends where the next one begins, see [`Window::up_to`]
+    pub whole: bool,
 }
 
 /// Position (nq) and velocity (nv) at the start of a window.
@@ -45,12 +47,23 @@ pub(super) fn cut(problem: &Problem, window_s: f64) -> Vec<Window> {
             first: edge(i),
             last: edge(i + 1),
             followed: i + 1 < n,
+            whole: true,
         }));
     }
     windows
 }
 
 impl Window {
+    /// Its first `steps`.
+    pub(super) fn up_to(&self, steps: usize) -> Self {
+        let last = self.last.min(self.first + steps);
+        Self {
+            last,
+            whole: last == self.last,
+            ..self.clone()
+        }
+    }
+
     /// Number of knots.
     pub(super) fn len(&self) -> usize {
         self.last - self.first + 1
@@ -68,9 +81,9 @@ impl State {
         let (nq, h) = (model.nq(), model.timestep());
         let knot = |k: usize| &trajectory[k * nq..(k + 1) * nq];
         let mut qvel = vec![0.0; model.nv()];
-        // the velocity that the engine integrates to reach a knot is the one it has there
-        let from = window.first.max(1) - 1;
-        model.differentiate_pos(&mut qvel, h, knot(from), knot(from + 1))?;
+        // the velocity after the knot: before it, the motion may be another window's
+        let next = knot(window.first + 1);
+        model.differentiate_pos(&mut qvel, h, knot(window.first), next)?;
         Ok(Self {
             qpos: knot(window.first).to_vec(),
             qvel,
@@ -112,7 +125,10 @@ pub(super) fn place(problem: &Problem, windows: &[Window], x: &[f64]) -> Vec<Vec
     let mut placed: Vec<Vec<Placed>> = vec![Vec::new(); windows.len()];
     let mut first = 0;
     for (trial, t) in problem.trials.iter().enumerate() {
-        let n = windows[first..].iter().take_while(|w| w.trial == trial).count();
+        let n = windows[first..]
+            .iter()
+            .take_while(|w| w.trial == trial)
+            .count();
         let own = &windows[first..first + n];
         for (sample, s) in t.samples.iter().enumerate() {
             let channel = &problem.channels[s.channel];
@@ -124,7 +140,10 @@ pub(super) fn place(problem: &Problem, windows: &[Window], x: &[f64]) -> Vec<Vec
             let part = at - knot as f64;
             // forces are held over a step
             let on = part < ON_KNOT || channel.stage == Stage::Acceleration;
-            let i = own.partition_point(|w| w.last <= knot).min(n - 1);
+            let i = own.partition_point(|w| w.first <= knot) - 1;
+            if knot > own[i].last {
+                continue; // of a part of a window
+            }
             placed[first + i].push(Placed {
                 knot: knot - own[i].first,
                 part: if on { 0.0 } else { part },
