@@ -242,7 +242,8 @@ fn held_out(h: &Holdout) -> Section {
         for g in &p.growth {
             table.push(vec![
                 g.channel.clone(),
-                g.horizon_s.to_string(),
+                g.horizon_s
+                    .map_or("to the end".to_owned(), |s| s.to_string()),
                 number(g.nominal),
                 number(g.identified),
                 format!("{:.3}", g.identified / g.nominal),
@@ -289,7 +290,11 @@ fn residuals(summary: &Summary) -> Section {
     for f in &summary.forces {
         forces.push(vec![f.name.clone(), number(f.rms), number(f.sigma)]);
     }
-    Section::new("Residuals")
+    let section = Section::new("Residuals");
+    if summary.forces.is_empty() {
+        return section.table(channels);
+    }
+    section
         .text(&format!(
             "Up to {:.2} % of the forces may stay unexplained, by the evidence of the recordings.",
             100.0 * summary.level

@@ -13,10 +13,10 @@ use serde::Serialize;
 
 use super::SysidError;
 use super::fit::{Fit, Iteration, Start};
-use super::joint::{self, JointSettings};
+use super::method::Method;
 use super::parameter::{Parameter, Parameters};
 use super::predict::{
-    ChannelResidual, Explained, ForceResidual, channel_residuals, explain, force_residuals,
+    ChannelResidual, Explained, ForceResidual, channel_residuals, force_residuals,
 };
 use super::problem::{Problem, ProblemConfig, Setting};
 use super::{ensemble, instrument, long_run};
@@ -55,8 +55,8 @@ pub struct Growth {
     pub channel: String,
     /// of the errors
     pub unit: String,
-    /// s
-    pub horizon_s: f64,
+    /// s; none: to the end of the recording
+    pub horizon_s: Option<f64>,
     /// root mean square over the horizon, nominal model
     pub nominal: f64,
     /// identified
@@ -106,7 +106,7 @@ pub fn test(
     fit: &Fit,
     config: &ProblemConfig,
     recordings: &[(String, Recording)],
-    settings: &JointSettings,
+    method: &Method,
     rollouts: &Settings,
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Option<Holdout>, SysidError> {
@@ -118,11 +118,11 @@ pub fn test(
     };
     let nominal = hold(&problem, |p| p.nominal);
     let identified = hold(&problem, |p| found(&p.name).unwrap_or(p.start));
-    let Some((nominal_residual, nominal_cost)) = residual(nominal.clone(), fit, settings, watch)?
+    let Some((nominal_residual, nominal_cost)) = residual(nominal.clone(), fit, method, watch)?
     else {
         return Ok(None);
     };
-    let Some((identified_residual, cost)) = residual(identified.clone(), fit, settings, watch)?
+    let Some((identified_residual, cost)) = residual(identified.clone(), fit, method, watch)?
     else {
         return Ok(None);
     };
@@ -186,23 +186,18 @@ pub(super) fn hold(problem: &Problem, value: impl Fn(&Parameter) -> f64) -> Prob
 fn residual(
     mut problem: Problem,
     fit: &Fit,
-    settings: &JointSettings,
+    method: &Method,
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Option<(Residual, Vec<Vec<f64>>)>, SysidError> {
     problem.force_sigma.clone_from(&fit.force_sigma);
-    let levels = settings.levels.iter().copied();
-    let settings = JointSettings {
-        levels: levels.filter(|l| *l >= fit.level * 0.999).collect(),
-        by_evidence: false,
-        ..settings.clone()
-    };
+    let method = method.as_strict_as(fit, true);
     let start = Start {
         x: Vec::new(),
         trajectories: None,
         force_scale: None,
     };
     let mut stopped = false;
-    let held = joint::solve(&problem, &settings, &start, &mut |i| {
+    let held = method.solve(&problem, &start, &mut |i| {
         let go_on = watch(i);
         stopped |= !go_on;
         go_on
@@ -210,7 +205,7 @@ fn residual(
     if stopped {
         return Ok(None);
     }
-    let explained = explain(&problem, &[], &held.trajectories)?;
+    let explained = method.explain(&problem, &held)?;
     let costs = (problem.trials.iter().zip(&explained))
         .map(|(trial, e)| knot_costs(&problem, fit, trial.n_knots, e))
         .collect::<Vec<_>>();
@@ -229,7 +224,9 @@ fn knot_costs(problem: &Problem, fit: &Fit, n_knots: usize, explained: &Explaine
     let mut costs = vec![0.0; n_knots];
     for (k, row) in explained.force.chunks_exact(nv).enumerate() {
         for i in 0..nv {
-            costs[k] += problem.force_norm[i].cost(row[i] / fit.force_sigma[i]);
+            if fit.force_sigma[i] > 0.0 {
+                costs[k] += problem.force_norm[i].cost(row[i] / fit.force_sigma[i]);
+            }
         }
     }
     for (channel, p) in problem.channels.iter().zip(&explained.channels) {
@@ -276,7 +273,7 @@ fn predict(
             Some(Growth {
                 channel: a.channel.clone(),
                 unit: a.unit.clone(),
-                horizon_s: a.horizon_s?,
+                horizon_s: a.horizon_s,
                 nominal: a.window_rms,
                 identified: b.window_rms,
             })

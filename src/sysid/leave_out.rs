@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::SysidError;
 use super::fit::{Fit, Iteration, Start};
-use super::joint::{self, JointSettings};
+use super::method::Method;
 use super::norm::Norm;
 use super::predict::{channel_residuals, explain};
 use super::problem::{ChannelRule, Problem, ProblemConfig};
@@ -72,7 +72,7 @@ pub fn without(
     config: &ProblemConfig,
     recordings: &[(String, Recording)],
     left_out: &str,
-    settings: &JointSettings,
+    method: &Method,
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Option<Vec<LeftOut>>, SysidError> {
     let of_sensor = |name: &str| sensor(name) == left_out;
@@ -129,13 +129,9 @@ pub fn without(
         trajectories: Some(fit.trajectories.clone()),
         force_scale: None,
     };
-    let settings = JointSettings {
-        levels: vec![fit.level],
-        by_evidence: false,
-        ..settings.clone()
-    };
+    let method = method.as_strict_as(fit, false);
     let mut stopped = false;
-    let again = joint::solve(&reduced, &settings, &start, &mut |i| {
+    let again = method.solve(&reduced, &start, &mut |i| {
         let go_on = watch(i);
         stopped |= !go_on;
         go_on

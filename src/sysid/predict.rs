@@ -119,7 +119,7 @@ pub fn channel_residuals(problem: &Problem, explained: &[Explained]) -> Vec<Chan
         .collect()
 }
 
-/// Residuals of the forces at every degree of freedom; `sigma` as in the fit.
+/// Residuals of the forces at every degree of freedom; `sigma` as in the fit, none where that allows no force.
 pub fn force_residuals(
     problem: &Problem,
     explained: &[Explained],
@@ -127,6 +127,7 @@ pub fn force_residuals(
 ) -> Vec<ForceResidual> {
     let model = &problem.model;
     (0..model.nv())
+        .filter(|dof| sigma[*dof] > 0.0)
         .map(|dof| {
             let inner = explained.iter().flat_map(|e| {
                 let knots = e.force.len() / model.nv();

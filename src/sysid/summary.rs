@@ -7,8 +7,9 @@ use super::fit::{Fit, Iteration, Status};
 use super::holdout::{Holdout, Verdict};
 use super::interval::{Estimate, Posterior};
 use super::leave_out::LeftOut;
+use super::method::Method;
 use super::predict::{
-    ChannelResidual, Explained, ForceResidual, channel_residuals, explain, force_residuals,
+    ChannelResidual, Explained, ForceResidual, channel_residuals, force_residuals,
 };
 use super::problem::Problem;
 use super::separate::Combination;
@@ -115,8 +116,8 @@ impl Outcome {
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub fn new(problem: &Problem, fit: &Fit) -> Result<Self, SysidError> {
-        let explained = explain(problem, &fit.x, &fit.trajectories)?;
+    pub fn new(problem: &Problem, method: &Method, fit: &Fit) -> Result<Self, SysidError> {
+        let explained = method.explain(problem, fit)?;
         let lengths: Vec<usize> = problem.trials.iter().map(|t| t.n_knots).collect();
         let posterior = Posterior::new(&problem.parameters, &fit.x, &fit.innovations, &lengths);
         let h = problem.model.timestep();

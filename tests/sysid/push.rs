@@ -174,3 +174,30 @@ fn push_task_from_sixteen_random_starts() {
 fn push_task_with_noise_from_sixteen_random_starts() {
     assert_eq!(successes(5e-4, 5e-4, 0.10, 16), 16);
 }
+
+#[test]
+#[ignore]
+fn scratch_shooting() {
+    use phantom::sysid::shooting::{self, ShootingSettings};
+    let get = |n: &str, d: f64| std::env::var(n).map_or(d, |v| v.parse().expect("number"));
+    let (noise, sigma) = (get("NOISE", 0.0), get("SIGMA", 1e-6));
+    let plan: Vec<(f64, f64, f64)> = std::env::var("PLAN").unwrap().split(',').map(|p| { let v: Vec<f64> = p.split(':').map(|v| v.parse().unwrap()).collect(); (v[0], v[1], v[2]) }).collect();
+    let (model, recording) = pushed(noise, 3);
+    for i in get("FROM", 0.0) as u64..get("N", 1.0) as u64 {
+        let began = std::time::Instant::now();
+        let mut x = random_start(i);
+        if let Ok(v) = std::env::var("X") { x = v.split(',').map(|v| v.parse::<f64>().unwrap().ln()).collect(); }
+        let mut trajectories = None;
+        for &(w, j, s) in &plan {
+            let problem = Problem::new(model.clone(), &config(sigma.max(s)), &[("push".into(), recording.clone())]).expect("fits");
+            let settings = ShootingSettings { window_s: w, jump_sigma: (j > 0.0).then_some(j), free_states: std::env::var("HOLD").is_err(), first_s: std::env::var("GROW").ok().map(|v| v.parse().unwrap()), max_iterations: get("ITERS", 30.0) as usize, ..Default::default() };
+            let fit = shooting::solve(&problem, &settings, &Start { x: x.clone(), trajectories: trajectories.clone(), force_scale: None }, &mut |i| {
+                if get("V", 0.0) > 0.0 { println!("   cost {:.4e} damping {:.0e} step {:.1e} {:.4?}", i.cost, i.damping, i.step, i.x.iter().map(|x| x.exp()).collect::<Vec<_>>()); }
+                true
+            }).unwrap();
+            let v: Vec<f64> = fit.x.iter().map(|x| x.exp()).collect();
+            println!("start {i} w {w} j {j} s {s}: {v:.4?} cost {:.4e} {:?} {} it {:.1} s", fit.cost, fit.status, fit.history.len(), began.elapsed().as_secs_f64());
+            x = fit.x; trajectories = Some(fit.trajectories);
+        }
+    }
+}

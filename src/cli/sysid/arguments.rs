@@ -2,11 +2,24 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use super::super::{CliError, count};
+use crate::compare::Settings;
 use crate::recording::{Binding, Recording, read_trials};
+use crate::sysid::SysidError;
 use crate::sysid::joint::JointSettings;
+use crate::sysid::method::Method;
+use crate::sysid::shooting::ShootingSettings;
+
+/// How to solve.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum MethodName {
+    /// Inverse dynamics along an estimated motion
+    Joint,
+    /// Simulations of windows whose first states are estimated
+    Shooting,
+}
 
 #[derive(Debug, Args)]
 pub(super) struct FitArgs {
@@ -37,7 +50,19 @@ pub(super) struct FitArgs {
     /// Seed of the draws
     #[arg(long, value_name = "S", default_value = "0")]
     pub(super) seed: u64,
-    /// Most iterations at a level of unexplained force
+    /// How to solve: by inverse dynamics, or by simulating windows
+    #[arg(long, value_enum, default_value = "joint")]
+    method: MethodName,
+    /// Length of a window of shooting, s; `inf` for whole recordings [default: 0.5]
+    #[arg(long, value_name = "S")]
+    window: Option<f64>,
+    /// Velocity by which the motion may jump from window to window, m/s or rad/s [default: by any]
+    #[arg(long, value_name = "V")]
+    jump_sigma: Option<f64>,
+    /// Windows of shooting start from the measured states as they are
+    #[arg(long)]
+    hold_states: bool,
+    /// Most iterations (joint: at a level of unexplained force)
     #[arg(long, value_name = "N", value_parser = count)]
     max_iterations: Option<usize>,
     /// Also fit without each sensor, and predict it
@@ -54,21 +79,55 @@ impl FitArgs {
         self.parameters.as_deref().unwrap_or(Path::new(""))
     }
 
-    pub(super) fn settings(&self) -> JointSettings {
-        let default = JointSettings::default();
-        JointSettings {
-            max_iterations: self.max_iterations.unwrap_or(default.max_iterations),
-            ..default
+    pub(super) fn method(&self) -> Result<Method, CliError> {
+        let joint = JointSettings::default();
+        let shooting = ShootingSettings::default();
+        let only_shooting = [
+            ("--window", self.window.is_some()),
+            ("--jump-sigma", self.jump_sigma.is_some()),
+            ("--hold-states", self.hold_states),
+        ];
+        match self.method {
+            MethodName::Joint => {
+                if let Some((flag, _)) = only_shooting.iter().find(|(_, given)| *given) {
+                    let reason =
+                        format!("{flag} is for --method shooting; the joint method has no windows");
+                    return Err(SysidError::Setting { reason }.into());
+                }
+                Ok(Method::Joint(JointSettings {
+                    max_iterations: self.max_iterations.unwrap_or(joint.max_iterations),
+                    ..joint
+                }))
+            }
+            MethodName::Shooting => {
+                let settings = ShootingSettings {
+                    window_s: self.window.unwrap_or(shooting.window_s),
+                    jump_sigma: self.jump_sigma,
+                    free_states: !self.hold_states,
+                    max_iterations: self.max_iterations.unwrap_or(shooting.max_iterations),
+                    ..shooting
+                };
+                settings.check()?;
+                Ok(Method::Shooting(settings))
+            }
         }
     }
 
-    pub(super) fn recordings(
-        &self,
-        files: &[PathBuf],
-    ) -> Result<Vec<(String, Recording)>, CliError> {
-        read_all(files, self.binding.as_deref())
+    /// Recordings to fit to and held-out ones. Of trials that `rollouts` splits by their numbers, those that it leaves
+    /// out are for fitting.
+    pub(super) fn recordings(&self, rollouts: &Settings) -> Result<[Named; 2], CliError> {
+        let mut fitted = read_all(&self.files, self.binding.as_deref())?;
+        let mut held_out = read_all(&self.holdout, self.binding.as_deref())?;
+        if rollouts.except_multiples_of.is_some() {
+            fitted.retain(|(_, r)| !rollouts.uses_trial(&r.meta.trial));
+            held_out.retain(|(_, r)| rollouts.uses_trial(&r.meta.trial));
+        }
+        Ok([fitted, held_out])
     }
 }
+
+/// Recordings with names.
+type Named = Vec<(String, Recording)>;
 
 /// Recordings with names: the file's, and the trial's where a file has several.
 pub(super) fn read_all(

@@ -15,8 +15,7 @@ use indicatif::ProgressBar;
 use self::arguments::FitArgs;
 use super::{CliError, interruption, load_model, model_path, read_toml};
 use crate::compare::Settings;
-use crate::sysid::fit::{Fit, Iteration, Start};
-use crate::sysid::joint::{self, JointSettings};
+use crate::sysid::fit::{Iteration, Start};
 use crate::sysid::problem::{Problem, ProblemConfig};
 use crate::sysid::summary::{Outcome, Summary};
 use crate::sysid::{holdout, leave_out};
@@ -37,6 +36,7 @@ use crate::sysid::{holdout, leave_out};
   phantom sysid --parameters finger.toml sine.mcap chirp.mcap --holdout postures.mcap --out id --ensemble 64
   phantom sysid --model emps.xml --parameters emps.toml log.csv --binding emps_binding.toml --out id --json
   phantom sysid --model arm.xml --parameters arm.toml log.mcap --out id --leave-one-sensor-out
+  phantom sysid --model toss.xml --parameters toss.toml tosses.csv.gz --out id --method shooting --window inf
   phantom sysid design --model arm.xml --parameters arm.toml          what to record next"
 )]
 pub(super) struct SysidArgs {
@@ -88,9 +88,14 @@ impl Watch {
 
     fn see(&mut self, i: &Iteration) -> bool {
         self.n += 1;
+        let level = if i.level > 0.0 {
+            format!(" · unexplained {:.0e}", i.level)
+        } else {
+            String::new()
+        };
         self.bar.set_message(format!(
-            "{} · iteration {} · unexplained {:.0e} · cost {:.6e} · step {:.1e}",
-            self.stage, self.n, i.level, i.cost, i.step
+            "{} · iteration {}{level} · cost {:.6e} · step {:.1e}",
+            self.stage, self.n, i.cost, i.step
         ));
         !self.stopped()
     }
@@ -105,14 +110,13 @@ impl FitArgs {
         let path = model_path(self.model.as_deref());
         let model = Arc::new(load_model(&path)?);
         let config: ProblemConfig = read_toml(self.parameters())?;
-        let recordings = self.recordings(&self.files)?;
-        let held_out = self.recordings(&self.holdout)?;
-        let settings = self.settings();
+        let method = self.method()?;
         let rollouts: Settings = match &self.protocol {
             Some(file) => read_toml(file)?,
             None => Settings::default(),
         };
         rollouts.check()?;
+        let [recordings, held_out] = self.recordings(&rollouts)?;
         let problem = Problem::new(Arc::clone(&model), &config, &recordings)?;
         if problem.parameters.is_empty() {
             return Err(CliError::File {
@@ -128,8 +132,13 @@ impl FitArgs {
 
         let mut watch = Watch::new();
         watch.begin("fit");
-        let fit = self.solve(&problem, &settings, &mut watch)?;
-        let outcome = Outcome::new(&problem, &fit)?;
+        let start = Start {
+            x: problem.parameters.start(),
+            trajectories: None,
+            force_scale: None,
+        };
+        let fit = method.solve(&problem, &start, &mut |i| watch.see(i))?;
+        let outcome = Outcome::new(&problem, &method, &fit)?;
         let mut summary = outcome.summary.clone();
         if !held_out.is_empty() && !watch.stopped() {
             watch.begin("held-out");
@@ -138,7 +147,7 @@ impl FitArgs {
                 &fit,
                 &config,
                 &held_out,
-                &settings,
+                &method,
                 &rollouts,
                 &mut |i| watch.see(i),
             )?;
@@ -155,7 +164,7 @@ impl FitArgs {
                     &config,
                     &recordings,
                     &sensor,
-                    &settings,
+                    &method,
                     &mut |i| watch.see(i),
                 )?;
                 summary
@@ -168,22 +177,6 @@ impl FitArgs {
         watch.bar.finish_and_clear();
         self.print(&summary, &written);
         Ok(ExitCode::from(u8::from(!summary.is_good())))
-    }
-
-    fn solve(
-        &self,
-        problem: &Problem,
-        settings: &JointSettings,
-        watch: &mut Watch,
-    ) -> Result<Fit, CliError> {
-        let start = Start {
-            x: problem.parameters.start(),
-            trajectories: None,
-            force_scale: None,
-        };
-        Ok(joint::solve(problem, settings, &start, &mut |i| {
-            watch.see(i)
-        })?)
     }
 
     fn print(&self, summary: &Summary, written: &write::Written) {

@@ -1,0 +1,69 @@
+//! The two ways to solve a problem, behind one interface.
+
+use super::SysidError;
+use super::fit::{Fit, Iteration, Start};
+use super::joint::{self, JointSettings};
+use super::predict::{self, Explained};
+use super::problem::Problem;
+use super::shooting::{self, ShootingSettings};
+
+/// How to solve a problem.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Method {
+    /// the whole motion is unknown, and what inverse dynamics makes of it is compared with the controls
+    Joint(JointSettings),
+    /// first states of windows are unknown, and simulations from there are compared with the sensors
+    Shooting(ShootingSettings),
+}
+
+impl Method {
+    /// Estimates parameters and motion. `watch` is told of each iteration, and stops the solver by `false`.
+    ///
+    /// # Errors
+    /// Those of the method.
+    pub fn solve(
+        &self,
+        problem: &Problem,
+        start: &Start,
+        watch: &mut dyn FnMut(&Iteration) -> bool,
+    ) -> Result<Fit, SysidError> {
+        match self {
+            Self::Joint(settings) => joint::solve(problem, settings, start, watch),
+            Self::Shooting(settings) => shooting::solve(problem, settings, start, watch),
+        }
+    }
+
+    /// The same, for one more solution as strict as `fit` was; `eased`: by way of the looser levels before it.
+    pub(super) fn as_strict_as(&self, fit: &Fit, eased: bool) -> Self {
+        match self {
+            Self::Joint(settings) => {
+                let levels = settings.levels.iter().copied();
+                Self::Joint(JointSettings {
+                    levels: if eased {
+                        levels.filter(|l| *l >= fit.level * 0.999).collect()
+                    } else {
+                        vec![fit.level]
+                    },
+                    by_evidence: false,
+                    ..settings.clone()
+                })
+            }
+            Self::Shooting(_) => self.clone(),
+        }
+    }
+
+    /// What the model says along the motion of `fit`.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub fn explain(&self, problem: &Problem, fit: &Fit) -> Result<Vec<Explained>, SysidError> {
+        let mut explained = predict::explain(problem, &fit.x, &fit.trajectories)?;
+        if let Self::Shooting(_) = self {
+            // each window obeys the model; what inverse dynamics would make of the jumps between them is no force
+            for trial in &mut explained {
+                trial.force.fill(0.0);
+            }
+        }
+        Ok(explained)
+    }
+}

@@ -1,0 +1,188 @@
+//! Simulations of all windows, and their derivatives by finite differences, on all cores.
+
+use rayon::prelude::*;
+
+use super::simulate::{Simulated, Simulator};
+use super::window::{Placed, State, Window};
+use crate::sysid::SysidError;
+use crate::sysid::parameter::{Instrument, Role};
+use crate::sysid::problem::Problem;
+
+/// Change of a first position, rad or m, in a finite difference.
+const STEP_POSITION: f64 = 1e-6;
+/// Of a first velocity, rad/s or m/s.
+const STEP_VELOCITY: f64 = 1e-6;
+/// Of a parameter, relative to its typical change.
+const STEP_PARAMETER: f64 = 1e-6;
+
+/// All windows at one point of the search.
+#[derive(Clone, Copy)]
+pub(super) struct Point<'a> {
+    pub problem: &'a Problem,
+    pub windows: &'a [Window],
+    /// samples of each window
+    pub placed: &'a [Vec<Placed>],
+    /// free parameters
+    pub x: &'a [f64],
+    /// of each window
+    pub states: &'a [State],
+}
+
+/// Derivatives of one window by every unknown: 2 nv of its first state, then the parameters.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Columns {
+    /// per unknown (samples)
+    pub samples: Vec<Vec<f64>>,
+    /// per unknown (2 nv) of the last state
+    pub end: Vec<Vec<f64>>,
+}
+
+/// Index among a window's unknowns and the change of it.
+type Change = (usize, f64);
+
+impl Point<'_> {
+    /// Every window simulated; `None` for those that diverge.
+    pub(super) fn simulate(&self) -> Result<Vec<Option<Simulated>>, SysidError> {
+        let controls = self.controls(self.x);
+        let parts: Vec<Result<Vec<Option<Simulated>>, SysidError>> =
+            (self.chunks(1).into_par_iter())
+                .map(|(from, to)| {
+                    let mut simulator = Simulator::new(self.problem, self.x)?;
+                    (from..to)
+                        .map(|w| {
+                            let window = &self.windows[w];
+                            simulator.run(window, &self.states[w], &controls[window.trial])
+                        })
+                        .collect()
+                })
+                .collect();
+        let mut all = Vec::with_capacity(self.windows.len());
+        for part in parts {
+            all.extend(part?);
+        }
+        Ok(all)
+    }
+
+    /// Derivatives where the simulations are `base`; those by states are 0 unless `free_states`.
+    pub(super) fn columns(
+        &self,
+        base: &[Simulated],
+        free_states: bool,
+    ) -> Result<Vec<Columns>, SysidError> {
+        let n_state = 2 * self.problem.model.nv();
+        let mut changes: Vec<Change> = Vec::new();
+        if free_states {
+            changes.extend((0..n_state).map(|j| {
+                let position = j < n_state / 2;
+                (
+                    j,
+                    if position {
+                        STEP_POSITION
+                    } else {
+                        STEP_VELOCITY
+                    },
+                )
+            }));
+        }
+        for (j, parameter) in self.problem.parameters.iter_free().enumerate() {
+            // what the sensors make of the motion needs no simulation
+            let moves = !matches!(
+                parameter.role,
+                Role::Instrument(Instrument::Bias | Instrument::Gain | Instrument::Delay, _)
+            );
+            if moves {
+                changes.push((n_state + j, STEP_PARAMETER * parameter.typical));
+            }
+        }
+        let tasks: Vec<(Change, (usize, usize))> = (changes.iter())
+            .flat_map(|&change| {
+                let chunks = self.chunks(changes.len());
+                chunks.into_iter().map(move |chunk| (change, chunk))
+            })
+            .collect();
+        let controls = self.controls(self.x);
+        let parts: Vec<Result<Vec<Slope>, SysidError>> = (tasks.par_iter())
+            .map(|&(change, chunk)| self.slopes(change, chunk, base, &controls))
+            .collect();
+        let n = n_state + self.x.len();
+        let mut all: Vec<Columns> = (self.placed.iter())
+            .map(|placed| Columns {
+                samples: vec![vec![0.0; placed.len()]; n],
+                end: vec![vec![0.0; n_state]; n],
+            })
+            .collect();
+        for (((j, _), (from, _)), part) in tasks.into_iter().zip(parts) {
+            for (columns, (samples, end)) in all[from..].iter_mut().zip(part?) {
+                (columns.samples[j], columns.end[j]) = (samples, end);
+            }
+        }
+        Ok(all)
+    }
+
+    /// Slopes of windows `from .. to` with one unknown changed.
+    fn slopes(
+        &self,
+        (j, step): Change,
+        (from, to): (usize, usize),
+        base: &[Simulated],
+        controls: &[Vec<f64>],
+    ) -> Result<Vec<Slope>, SysidError> {
+        let n_state = 2 * self.problem.model.nv();
+        let mut x = self.x.to_vec();
+        let mut tangent = vec![0.0; n_state];
+        let mut moved_controls = Vec::new();
+        if j < n_state {
+            tangent[j] = step;
+        } else {
+            x[j - n_state] += step;
+            if !self.problem.parameters.changes_model(j - n_state) {
+                moved_controls = self.controls(&x);
+            }
+        }
+        let controls = if moved_controls.is_empty() {
+            controls
+        } else {
+            &moved_controls
+        };
+        let mut simulator = Simulator::new(self.problem, &x)?;
+        (from..to)
+            .map(|w| {
+                let (window, placed, base) = (&self.windows[w], &self.placed[w], &base[w]);
+                let state = self.states[w].moved(self.problem, &tangent)?;
+                let moved = simulator.run(window, &state, &controls[window.trial])?;
+                // what diverges this close to what does not has no slope
+                let moved = moved.as_ref().unwrap_or(base);
+                let samples = (moved.samples(self.problem, window, placed))
+                    .zip(base.samples(self.problem, window, placed))
+                    .map(|(m, b)| (m.0 - b.0) / step)
+                    .collect();
+                let mut end = moved.end.minus(&base.end, self.problem)?;
+                end.iter_mut().for_each(|e| *e /= step);
+                Ok((samples, end))
+            })
+            .collect()
+    }
+
+    /// Of every trial (knots × nu).
+    fn controls(&self, x: &[f64]) -> Vec<Vec<f64>> {
+        let trials = self.problem.trials.iter();
+        trials
+            .map(|trial| self.problem.controls(trial, x))
+            .collect()
+    }
+
+    /// Windows in runs that keep all cores busy with `n` tasks each.
+    fn chunks(&self, n: usize) -> Vec<(usize, usize)> {
+        let windows = self.windows.len();
+        let size = (n * windows)
+            .div_ceil(8 * rayon::current_num_threads())
+            .clamp(1, windows);
+        (0..windows)
+            .step_by(size)
+            .map(|from| (from, (from + size).min(windows)))
+            .collect()
+    }
+}
+
+/// Of a window's samples and of its last state.
+type Slope = (Vec<f64>, Vec<f64>);

@@ -1,0 +1,389 @@
+//! Damped Gauss-Newton over parameters and the first states of windows.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::ShootingSettings;
+use super::columns::Point;
+use super::rows::Rows;
+use super::simulate::Simulated;
+use super::window::{Placed, State, Window, place};
+use crate::sysid::SysidError;
+use crate::sysid::arrow::Arrow;
+use crate::sysid::box_qp::solve_in_box;
+use crate::sysid::fit::{Fit, Innovations, Iteration, Status};
+use crate::sysid::parameter::Scale;
+use crate::sysid::problem::Problem;
+
+const FIRST_DAMPING: f64 = 1e-3;
+const LEAST_DAMPING: f64 = 1e-10;
+const MOST_DAMPING: f64 = 1e6;
+/// Largest change of x on a log scale in one step.
+const LOG_STEP: f64 = 1.0;
+/// Parts of the change of a window's state that are tried.
+const PARTS: [f64; 3] = [1.0, 0.3, 0.0];
+/// Sensitivity that a state is taken to have at least, so that one which nothing measures stays where it is.
+const LEAST_SENSITIVITY: f64 = 1e-6;
+
+/// The present point of the search.
+pub(super) struct Descent<'a> {
+    problem: &'a Problem,
+    settings: &'a ShootingSettings,
+    windows: Vec<Window>,
+    placed: Vec<Vec<Placed>>,
+    x: Vec<f64>,
+    states: Vec<State>,
+    simulated: Vec<Simulated>,
+    damping: f64,
+    history: Vec<Iteration>,
+}
+
+/// A step that lowers the cost.
+struct Taken {
+    x: Vec<f64>,
+    states: Vec<State>,
+    simulated: Vec<Simulated>,
+    cost: f64,
+    length: f64,
+}
+
+impl<'a> Descent<'a> {
+    pub(super) fn new(
+        problem: &'a Problem,
+        settings: &'a ShootingSettings,
+        windows: Vec<Window>,
+        x: Vec<f64>,
+        states: Vec<State>,
+    ) -> Result<Self, SysidError> {
+        let mut descent = Self {
+            placed: place(problem, &windows, &x),
+            problem,
+            settings,
+            windows,
+            x,
+            states,
+            simulated: Vec::new(),
+            damping: FIRST_DAMPING,
+            history: Vec::new(),
+        };
+        let simulated = descent.point(&descent.x, &descent.states).simulate()?;
+        let simulated: Option<Vec<Simulated>> = simulated.into_iter().collect();
+        descent.simulated = simulated.ok_or_else(|| SysidError::Setting {
+            reason: "the simulation diverges from the measured motion with the first parameters: \
+                     take shorter windows, or start nearer"
+                .into(),
+        })?;
+        Ok(descent)
+    }
+
+    /// The same search over other parts of the windows.
+    pub(super) fn over(self, windows: Vec<Window>) -> Result<Self, SysidError> {
+        let history = self.history;
+        let next = Self::new(self.problem, self.settings, windows, self.x, self.states)?;
+        Ok(Self { history, ..next })
+    }
+
+    /// Descends as far as it goes.
+    pub(super) fn run(
+        &mut self,
+        watch: &mut dyn FnMut(&Iteration) -> bool,
+    ) -> Result<Status, SysidError> {
+        let mut status = Status::MaxIterations;
+        let mut small = 0;
+        for _ in 0..self.settings.max_iterations {
+            // a changed delay moves samples between windows
+            self.placed = place(self.problem, &self.windows, &self.x);
+            let cost = self.cost()?;
+            let rows = self.rows()?;
+            let Some(taken) = self.search(&rows, cost)? else {
+                status = if small > 0 {
+                    Status::Converged
+                } else {
+                    Status::Stalled
+                };
+                break;
+            };
+            let decrease = (cost - taken.cost) / cost.max(f64::MIN_POSITIVE);
+            let record = Iteration {
+                level: 0.0,
+                cost: taken.cost,
+                damping: self.damping,
+                step: taken.length,
+                x: taken.x.clone(),
+            };
+            (self.x, self.states, self.simulated) = (taken.x, taken.states, taken.simulated);
+            self.damping = (self.damping * 0.1).max(LEAST_DAMPING);
+            let go_on = watch(&record);
+            self.history.push(record);
+            if !go_on {
+                status = Status::Interrupted;
+                break;
+            }
+            // twice in a row, as one small step may be the damping's doing
+            small = if decrease < self.settings.tolerance {
+                small + 1
+            } else {
+                0
+            };
+            if small >= 2 || taken.cost < 1e-20 {
+                status = Status::Converged;
+                break;
+            }
+        }
+        Ok(status)
+    }
+
+    fn point<'b>(&'b self, x: &'b [f64], states: &'b [State]) -> Point<'b> {
+        Point {
+            problem: self.problem,
+            windows: &self.windows,
+            placed: &self.placed,
+            x,
+            states,
+        }
+    }
+
+    fn cost(&self) -> Result<f64, SysidError> {
+        let point = self.point(&self.x, &self.states);
+        let mut sum = self.prior_cost(&self.x);
+        for (w, simulated) in self.simulated.iter().enumerate() {
+            sum += point.window_cost(w, simulated, self.settings.jump_sigma)?;
+        }
+        Ok(sum)
+    }
+
+    /// The linearised problem, window by window.
+    fn rows(&self) -> Result<Vec<Rows>, SysidError> {
+        let point = self.point(&self.x, &self.states);
+        let columns = point.columns(&self.simulated, self.settings.free_states)?;
+        (columns.iter().enumerate())
+            .map(|(w, c)| point.rows(w, &self.simulated[w], c, self.settings.jump_sigma))
+            .collect()
+    }
+
+    /// More and more damping until the true cost falls; `None` where none makes it fall.
+    fn search(&mut self, rows: &[Rows], cost: f64) -> Result<Option<Taken>, SysidError> {
+        while self.damping <= MOST_DAMPING {
+            let arrows = self.eliminate(rows, self.damping);
+            let dx = self.parameter_step(&arrows);
+            let length = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
+            let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
+            let changes = self.changes(&arrows, &dx);
+            let best = self.best(&x, &changes)?;
+            if let Some(taken) = best.filter(|taken| taken.cost <= cost) {
+                return Ok(Some(Taken { length, ..taken }));
+            }
+            self.damping *= if self.damping < 1e-6 { 1e3 } else { 10.0 };
+        }
+        self.damping = FIRST_DAMPING;
+        Ok(None)
+    }
+
+    /// The point at parameters `x` and the states after `changes` (windows × 2 nv); `None` where it diverges.
+    ///
+    /// Windows that know nothing of each other each take the part of their change that suits them best: one that
+    /// stands before a kink, as where a joint begins to stick, must not hold back the rest.
+    fn best(&self, x: &[f64], changes: &[f64]) -> Result<Option<Taken>, SysidError> {
+        let parts: &[f64] = if self.settings.jump_sigma.is_none() && self.settings.free_states {
+            &PARTS
+        } else {
+            &[1.0]
+        };
+        let mut best: Vec<Option<(f64, State, Simulated)>> = vec![None; self.windows.len()];
+        for part in parts {
+            let states = self.moved(changes, *part)?;
+            let point = self.point(x, &states);
+            // a step may leave what the engine accepts: then it is none
+            let Ok(simulated) = point.simulate() else {
+                return Ok(None);
+            };
+            for (w, (simulated, state)) in simulated.into_iter().zip(&states).enumerate() {
+                if let Some(simulated) = simulated {
+                    let cost = point.window_cost(w, &simulated, self.settings.jump_sigma)?;
+                    if best[w].as_ref().is_none_or(|b| cost < b.0) {
+                        best[w] = Some((cost, state.clone(), simulated));
+                    }
+                }
+            }
+        }
+        let Some(best) = best.into_iter().collect::<Option<Vec<_>>>() else {
+            return Ok(None);
+        };
+        let cost = best.iter().map(|b| b.0).sum::<f64>() + self.prior_cost(x);
+        let (states, simulated) = best.into_iter().map(|(_, state, s)| (state, s)).unzip();
+        Ok(Some(Taken {
+            x: x.to_vec(),
+            states,
+            simulated,
+            cost,
+            length: 0.0,
+        }))
+    }
+
+    /// States of every trial eliminated, each damped in proportion to what its samples say about it.
+    fn eliminate(&self, rows: &[Rows], damping: f64) -> Vec<Arrow> {
+        let (n_state, np) = (2 * self.problem.model.nv(), self.x.len());
+        let mut arrows: Vec<Arrow> = Vec::new();
+        let mut k = 0;
+        for (window, rows) in self.windows.iter().zip(rows) {
+            if window.first == 0 {
+                arrows.push(Arrow::new(n_state, np));
+                k = 0;
+            }
+            let Some(arrow) = arrows.last_mut() else {
+                break;
+            };
+            let mut square = vec![LEAST_SENSITIVITY.powi(2); n_state];
+            for (_, row) in rows.iter() {
+                for (s, v) in square.iter_mut().zip(row) {
+                    *s += v * v;
+                }
+                // no row reaches back to the window before
+                let out = arrow.row();
+                out[n_state..].copy_from_slice(row);
+                out[3 * n_state + np] *= -1.0;
+            }
+            for (i, square) in square.iter().enumerate() {
+                arrow.row()[n_state + i] = (damping * square).sqrt();
+            }
+            arrow.close(k);
+            k += 1;
+            if !window.followed {
+                arrow.finish(k);
+            }
+        }
+        arrows
+    }
+
+    /// Change of the parameters within their bounds.
+    fn parameter_step(&self, arrows: &[Arrow]) -> Vec<f64> {
+        let np = self.x.len();
+        let mut normal = DMatrix::<f64>::zeros(np, np);
+        let mut right = DVector::zeros(np);
+        for row in (arrows.iter()).flat_map(|a| a.innovations.chunks_exact(np + 1)) {
+            for i in 0..np {
+                right[i] += row[i] * row[np];
+                for j in 0..np {
+                    normal[(i, j)] += row[i] * row[j];
+                }
+            }
+        }
+        let mut low = vec![0.0; np];
+        let mut high = vec![0.0; np];
+        for (i, p) in self.problem.parameters.iter_free().enumerate() {
+            if p.prior_sigma.is_finite() {
+                normal[(i, i)] += p.prior_sigma.powi(-2);
+                right[i] -= (self.x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
+            }
+            normal[(i, i)] += self.damping * normal[(i, i)].max(LEAST_SENSITIVITY.powi(2));
+            let (lower, upper) = p.bounds();
+            let most = match p.scale {
+                Scale::Log => LOG_STEP,
+                Scale::Linear => f64::INFINITY,
+            };
+            low[i] = (lower - self.x[i]).max(-most);
+            high[i] = (upper - self.x[i]).min(most);
+        }
+        solve_in_box(&normal, &right, &low, &high)
+    }
+
+    /// Changes of all states (windows × 2 nv) for a step of the parameters.
+    fn changes(&self, arrows: &[Arrow], dx: &[f64]) -> Vec<f64> {
+        arrows.iter().flat_map(|a| a.back_substitute(dx)).collect()
+    }
+
+    /// States after a part of their changes.
+    fn moved(&self, changes: &[f64], part: f64) -> Result<Vec<State>, SysidError> {
+        let n_state = 2 * self.problem.model.nv();
+        (self.states.iter().zip(changes.chunks_exact(n_state)))
+            .map(|(state, change)| {
+                let change: Vec<f64> = change.iter().map(|c| part * c).collect();
+                state.moved(self.problem, &change)
+            })
+            .collect()
+    }
+
+    fn prior_cost(&self, x: &[f64]) -> f64 {
+        let parameters = self.problem.parameters.iter_free().zip(x);
+        parameters
+            .filter(|(p, _)| p.prior_sigma.is_finite())
+            .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
+            .sum()
+    }
+
+    /// The fit at the present point.
+    pub(super) fn conclude(mut self, status: Status) -> Result<Fit, SysidError> {
+        self.placed = place(self.problem, &self.windows, &self.x);
+        let cost = self.cost()?;
+        let rows = self.rows()?;
+        let arrows = self.eliminate(&rows, LEAST_DAMPING);
+        let n_trials = self.problem.trials.len();
+        let mut trajectories = vec![Vec::new(); n_trials];
+        let nq = self.problem.model.nq();
+        for (window, simulated) in self.windows.iter().zip(&self.simulated) {
+            // the last knot is the next window's
+            let end = simulated.qpos.len() - if window.followed { nq } else { 0 };
+            trajectories[window.trial].extend_from_slice(&simulated.qpos[..end]);
+        }
+        let mut weakest = (f64::INFINITY, 0, 0, 0);
+        for (trial, arrow) in arrows.iter().enumerate() {
+            let (ratio, (k, i)) = arrow.weakest();
+            if ratio < weakest.0 {
+                let mut windows = self.windows.iter().filter(|w| w.trial == trial);
+                let knot = windows.nth(k).map_or(0, |w| w.first);
+                weakest = (ratio, trial, knot, i % self.problem.model.nv());
+            }
+        }
+        Ok(Fit {
+            x: self.x.clone(),
+            trajectories,
+            cost,
+            negative_log_evidence: cost + arrows.iter().map(Arrow::log_diagonal).sum::<f64>(),
+            level: 0.0,
+            force_sigma: vec![0.0; self.problem.model.nv()],
+            status,
+            innovations: self.innovations(&rows, &arrows),
+            history: std::mem::take(&mut self.history),
+            weakest,
+        })
+    }
+
+    /// Every row with its states where they are best for the parameters: sensitivities are total derivatives.
+    ///
+    /// The elimination's own innovations mix all samples of a window; these stay at their time, which robust intervals
+    /// need. Their information is the same.
+    fn innovations(&self, rows: &[Rows], arrows: &[Arrow]) -> Innovations {
+        let (n_state, np) = (2 * self.problem.model.nv(), self.x.len());
+        let origin = self.changes(arrows, &vec![0.0; np]);
+        let by_x: Vec<Vec<f64>> = (0..np)
+            .map(|j| {
+                let mut unit = vec![0.0; np];
+                unit[j] = 1.0;
+                self.changes(arrows, &unit)
+                    .iter()
+                    .zip(&origin)
+                    .map(|(c, o)| c - o)
+                    .collect()
+            })
+            .collect();
+        let mut innovations = Innovations {
+            n_parameters: np,
+            ..Innovations::default()
+        };
+        for (w, (window, rows)) in self.windows.iter().zip(rows).enumerate() {
+            // this window's state and the next one's
+            let from = w * n_state;
+            let to = (from + 2 * n_state).min(origin.len());
+            let through = |row: &[f64], states: &[f64]| -> f64 {
+                row.iter().zip(&states[from..to]).map(|(a, b)| a * b).sum()
+            };
+            for (knot, row) in rows.iter() {
+                let (state, rest) = row.split_at(2 * n_state);
+                let own = (0..np).map(|j| rest[j] + through(state, &by_x[j]));
+                innovations.rows.extend(own);
+                innovations.rows.push(-rest[np] - through(state, &origin));
+                innovations.places.push((window.trial, knot));
+            }
+        }
+        innovations
+    }
+}

@@ -1,0 +1,102 @@
+//! One window, simulated.
+
+use std::sync::Arc;
+
+use super::window::{Placed, State, Window};
+use crate::mujoco::{Data, Model};
+use crate::sysid::SysidError;
+use crate::sysid::problem::Problem;
+
+/// What the model makes of a window.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Simulated {
+    /// (knots × channels) sensors
+    sensors: Vec<f64>,
+    /// (knots × nq)
+    pub qpos: Vec<f64>,
+    /// at the last knot
+    pub end: State,
+}
+
+impl Simulated {
+    /// Each sample as its sensor has it, and the slope there, per step.
+    pub(super) fn samples<'a>(
+        &'a self,
+        problem: &'a Problem,
+        window: &'a Window,
+        placed: &'a [Placed],
+    ) -> impl Iterator<Item = (f64, f64)> + 'a {
+        let n_channels = problem.channels.len();
+        placed.iter().map(move |p| {
+            let channel = problem.trials[window.trial].samples[p.sample].channel;
+            let value = |knot: usize| self.sensors[knot * n_channels + channel];
+            // at the last knot there is no next one
+            let from = p.knot.min(window.len() - 2);
+            let slope = value(from + 1) - value(from);
+            (value(p.knot) + p.part * slope, slope)
+        })
+    }
+}
+
+/// A simulation with parameters of its own.
+pub(super) struct Simulator<'a> {
+    problem: &'a Problem,
+    data: Data,
+}
+
+impl<'a> Simulator<'a> {
+    pub(super) fn new(problem: &'a Problem, x: &[f64]) -> Result<Self, SysidError> {
+        let mut data = Data::new(Arc::clone(&problem.model))?;
+        problem.parameters.apply(&problem.model, x, &mut data)?;
+        Ok(Self { problem, data })
+    }
+
+    /// Simulates a window from `state` under the controls of its trial (knots × nu). `None` where it diverges.
+    pub(super) fn run(
+        &mut self,
+        window: &Window,
+        state: &State,
+        controls: &[f64],
+    ) -> Result<Option<Simulated>, SysidError> {
+        let Self { problem, data } = self;
+        let (nq, nu) = (problem.model.nq(), problem.model.nu());
+        let n_channels = problem.channels.len();
+        let mut sensors = vec![0.0; window.len() * n_channels];
+        let mut qpos = Vec::with_capacity(window.len() * nq);
+        let mut end = state.clone();
+        data.reset();
+        data.qpos_mut().copy_from_slice(&state.qpos);
+        data.qvel_mut().copy_from_slice(&state.qvel);
+        for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
+            data.ctrl_mut()
+                .copy_from_slice(&controls[k * nu..(k + 1) * nu]);
+            qpos.extend_from_slice(data.qpos());
+            if k == window.last {
+                end.qpos.copy_from_slice(data.qpos());
+                end.qvel.copy_from_slice(data.qvel());
+            }
+            self::read(problem, &problem.model, data, row, false);
+            // the step leaves the sensors of its beginning
+            data.step()?;
+            if data.warnings().diverged() {
+                return Ok(None);
+            }
+            self::read(problem, &problem.model, data, row, true);
+        }
+        Ok(Some(Simulated { sensors, qpos, end }))
+    }
+}
+
+/// Channels of a knot: the model's `sensors` after the step, or joint positions and velocities before it.
+fn read(problem: &Problem, model: &Model, data: &Data, row: &mut [f64], sensors: bool) {
+    let (n_sensordata, nq) = (model.nsensordata(), model.nq());
+    for (value, channel) in row.iter_mut().zip(&problem.channels) {
+        let i = channel.source;
+        match (i < n_sensordata, sensors) {
+            (true, true) => *value = data.sensordata()[i],
+            (false, false) if i < n_sensordata + nq => *value = data.qpos()[i - n_sensordata],
+            (false, false) => *value = data.qvel()[i - n_sensordata - nq],
+            _ => {}
+        }
+    }
+}
