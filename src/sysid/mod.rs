@@ -33,17 +33,22 @@ pub mod joint;
 pub mod leave_out;
 mod linearise;
 mod long_run;
+mod likelihood;
 mod manifold;
 mod newton;
 pub mod norm;
 pub mod parameter;
+mod point;
+mod pose;
 pub mod predict;
 pub mod problem;
 mod rows;
 mod separate;
+mod smooth;
 mod start;
 mod student;
 pub mod summary;
+mod track;
 mod trial;
 
 use thiserror::Error;
@@ -88,6 +93,17 @@ pub enum SysidError {
         recording: String,
         /// what is wrong
         reason: String,
+    },
+    /// The engine takes no step from where the estimate is.
+    #[error(
+        "recording `{recording}`: the engine takes no step at {time_s} s, its numbers become too large; check units, \
+         and where parameters start"
+    )]
+    NoStep {
+        /// its name
+        recording: String,
+        /// s since the first knot
+        time_s: f64,
     },
     /// A setting is out of range.
     #[error("{reason}")]

@@ -6,6 +6,7 @@ use phantom::mujoco::{Data, Model};
 use phantom::recording::{Channel, Kind, Recording, Stream};
 use phantom::rng::{self, Purpose};
 use phantom::sysid::joint::{Fit, JointSettings, Start, solve};
+use phantom::sysid::norm::Norm;
 use phantom::sysid::parameter::ParameterRule;
 use phantom::sysid::problem::{ChannelRule, Problem, ProblemConfig};
 
@@ -23,7 +24,7 @@ const PUSH: &str = r#"<mujoco><option timestep="0.002" cone="elliptic" impratio=
 <sensor><jointpos name="xs" joint="x"/><jointpos name="ys" joint="y"/>
 <framepos name="cp" objtype="body" objname="cyl"/></sensor></mujoco>"#;
 
-const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
+pub(crate) const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
 
 fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
     Channel {
@@ -36,6 +37,11 @@ fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
 
 /// The reference motion of 2 s, as a recording.
 fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
+    let (a, b, _) = pushed_run(noise_m, seed);
+    (a, b)
+}
+
+pub(crate) fn pushed_run(noise_m: f64, seed: u64) -> (Arc<Model>, Recording, Vec<f64>) {
     let model = Arc::new(Model::from_xml_str(PUSH).expect("loads"));
     let mut data = Data::new(model.clone()).expect("data");
     let run = simulate(&mut data, 1000, |data, ctrl| {
@@ -72,16 +78,10 @@ fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
         sensors.push(stamp, &noisy);
         controls.push(stamp, u);
     }
-    (
-        model,
-        Recording {
-            streams: vec![sensors, controls],
-            ..Recording::default()
-        },
-    )
+    (model, Recording { streams: vec![sensors, controls], ..Recording::default() }, run.qpos.concat())
 }
 
-fn config(sigma: f64) -> ProblemConfig {
+pub(crate) fn config(sigma: f64) -> ProblemConfig {
     let rule = |element, attribute, components: &[usize], lower, upper| ParameterRule {
         components: components.to_vec(),
         lower: Some(lower),
@@ -97,7 +97,7 @@ fn config(sigma: f64) -> ProblemConfig {
         channel: vec![ChannelRule {
             name: "*".into(),
             noise_sigma: Some(sigma),
-            norm: Default::default(),
+            norm: Norm::default(),
             ignore: false,
         }],
         ..ProblemConfig::default()
@@ -124,7 +124,7 @@ fn identify(problem: &Problem, x: Vec<f64>) -> Fit {
     fit.expect("solved")
 }
 
-fn random_start(i: u64) -> Vec<f64> {
+pub(crate) fn random_start(i: u64) -> Vec<f64> {
     let mut rng = rng::stream(7, Purpose::Start, 0, i);
     [(0.05, 1.2), (0.05, 1.5), (0.1, 2.0)]
         .map(|(a, b)| rng::uniform(&mut rng, a, b).ln())
