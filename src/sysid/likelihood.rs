@@ -134,13 +134,14 @@ impl Likelihood<'_> {
         solve_in_box(&normal, &pass.right, &low, &high)
     }
 
-    /// Steps at one level; `None` if the simulation is lost from the start.
+    /// Steps at one level, `limit` at the most; `None` if the simulation is lost from the start, or the likelihood there
+    /// is not `below`: a filter that trusts the model more than it may loses the motion.
     fn climb(
         &self,
         from: &[f64],
         level: f64,
         noise: f64,
-        limit: usize,
+        (limit, below): (usize, f64),
         watch: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Option<Found>, SysidError> {
         let mut x = from.to_vec();
@@ -151,7 +152,8 @@ impl Likelihood<'_> {
         for _ in 0..limit {
             let pass = self.pass(&x, level, noise)?;
             let worse = |p: &Pass| best.as_ref().is_some_and(|(_, b)| p.nll > b.nll + ROUGH * b.n as f64);
-            let Some(pass) = pass.filter(|p| !worse(p)) else {
+            let lost = |p: &Pass| best.is_none() && p.nll > below;
+            let Some(pass) = pass.filter(|p| !worse(p) && !lost(p)) else {
                 let Some((at, pass)) = &best else { return Ok(None) };
                 damping = if damping == 0.0 { 1.0 } else { 10.0 * damping };
                 x = sum(at, &self.step(at, pass, damping));
@@ -193,7 +195,7 @@ impl Likelihood<'_> {
     ) -> Result<Option<Found>, SysidError> {
         let (&last, _) = levels.split_last().unwrap_or((&FIRST_LEVEL, &[]));
         if !by_evidence {
-            return self.climb(x, last, self.finest(), LAST_STEPS, watch);
+            return self.climb(x, last, self.finest(), (LAST_STEPS, f64::INFINITY), watch);
         }
         let levels: Vec<f64> = levels.iter().copied().filter(|l| *l <= FIRST_LEVEL.max(last)).collect();
         let finest = self.finest();
@@ -204,7 +206,7 @@ impl Likelihood<'_> {
         let better = |new: &Found, best: &Option<Found>| best.as_ref().is_none_or(|b| new.nll < b.nll - WORTH);
         // down to where signals may be taken as fine as they are
         while let Some(level) = lower.next_if(|l| *l >= BEFORE_FINER * 0.999) {
-            let Some(found) = self.climb(&at, level, noise, STEPS, watch)? else { continue };
+            let Some(found) = self.climb(&at, level, noise, (STEPS, f64::INFINITY), watch)? else { continue };
             at.clone_from(&found.x);
             if found.status == Status::Interrupted {
                 return Ok(Some(found));
@@ -216,7 +218,7 @@ impl Likelihood<'_> {
         let Some(mut best) = best else { return Ok(None) };
         while noise > finest {
             noise *= FINER;
-            let found = self.climb(&best.x, best.level, noise, STEPS, watch)?;
+            let found = self.climb(&best.x, best.level, noise, (STEPS, best.nll), watch)?;
             let Some(found) = found.filter(|f| f.nll < best.nll - WORTH) else { break };
             best = found;
             if best.status == Status::Interrupted {
@@ -224,14 +226,14 @@ impl Likelihood<'_> {
             }
         }
         for level in lower {
-            let found = self.climb(&best.x, level, best.noise, STEPS, watch)?;
+            let found = self.climb(&best.x, level, best.noise, (STEPS, best.nll), watch)?;
             let Some(found) = found.filter(|f| f.nll < best.nll - WORTH) else { break };
             best = found;
             if best.status == Status::Interrupted {
                 return Ok(Some(best));
             }
         }
-        let last = self.climb(&best.x, best.level, best.noise, LAST_STEPS, watch)?;
+        let last = self.climb(&best.x, best.level, best.noise, (LAST_STEPS, f64::INFINITY), watch)?;
         Ok(Some(last.unwrap_or(best)))
     }
 

@@ -174,3 +174,10 @@ fn push_task_from_sixteen_random_starts() {
 fn push_task_with_noise_from_sixteen_random_starts() {
     assert_eq!(successes(5e-4, 5e-4, 0.10, 16), 16);
 }
+
+#[test]
+#[ignore]
+fn push_few() {
+    let get = |n: &str, d: f64| std::env::var(n).map_or(d, |v| v.parse().expect("number"));
+    successes(get("NOISE", 0.0), get("SIGMA", 1e-6), 0.02, get("N", 2.0) as u64);
+}
