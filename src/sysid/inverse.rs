@@ -160,6 +160,33 @@ impl Inverse {
         Ok(())
     }
 
+    /// The acceleration (finite-difference, nv) that the engine itself takes from a state under the controls set, and
+    /// the sensors that go with it. `guess` is where its solver starts.
+    ///
+    /// `None` where it has none: numbers beyond its range.
+    ///
+    /// # Errors
+    /// Numbers that are not finite.
+    pub fn predict(&mut self, qpos: &[f64], qvel: &[f64], guess: &[f64], out: &mut [f64]) -> Result<bool> {
+        let data = &mut self.data;
+        data.qpos_mut().copy_from_slice(qpos);
+        data.qvel_mut().copy_from_slice(qvel);
+        data.qacc_warmstart_mut().copy_from_slice(guess);
+        data.step()?;
+        if data.warnings().any() {
+            data.clear_warnings();
+            return Ok(false);
+        }
+        let h = data.model().timestep();
+        for ((out, after), before) in out.iter_mut().zip(data.qvel()).zip(qvel) {
+            *out = (after - before) / h;
+        }
+        data.qpos_mut().copy_from_slice(qpos);
+        data.qvel_mut().copy_from_slice(qvel);
+        data.set_time(0.0);
+        Ok(true)
+    }
+
     /// Residual force of the last evaluation (nv).
     pub fn residual(&self) -> &[f64] {
         &self.residual

@@ -10,13 +10,14 @@
 //! answers it: the level of greatest evidence
 //!
 //! ```text
-//! −log p = cost + Σ log |Rᵢᵢ| + n log σ
+//! −log p = cost + Σ log |Rᵢᵢ| − Σ log |det ∂ρₖ/∂qₖ₊₁| + Σ log σₛ
 //! ```
 //!
-//! is kept, with R the triangular factor of the trajectory.
+//! is kept: the likelihood of the samples, the trajectory integrated out. R is the triangular factor of the
+//! trajectory; the determinants, of whitened missing forces ρ, turn the density of forces into one of positions.
 
 pub use super::fit::{Fit, Innovations, Iteration, Start, Status};
-use super::linearise::Point;
+use super::likelihood::Likelihood;
 use super::newton::Solver;
 use super::problem::Problem;
 use super::{SysidError, start};
@@ -32,6 +33,19 @@ pub struct JointSettings {
     pub levels: Vec<f64>,
     /// whether to stop at the level of greatest evidence; else the last level is used
     pub by_evidence: bool,
+    /// whether to follow the trials by simulation first
+    pub tracking: Tracking,
+}
+
+/// When trials are followed by simulation before the solver sets in (see `track`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Tracking {
+    /// where there is contact
+    Auto,
+    /// anyway
+    Always,
+    /// not at all
+    Never,
 }
 
 impl Default for JointSettings {
@@ -39,10 +53,9 @@ impl Default for JointSettings {
         Self {
             max_iterations: 40,
             tolerance: 1e-7,
-            levels: vec![
-                100.0, 30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4,
-            ],
+            levels: vec![10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4],
             by_evidence: true,
+            tracking: Tracking::Auto,
         }
     }
 }
@@ -51,8 +64,10 @@ impl Default for JointSettings {
 const COARSE: f64 = 0.5;
 /// Most iterations of the trajectory alone, at each of those.
 const SETTLING: usize = 15;
-/// Part of a rejected level's evidence: how many nats worse ends the search.
+/// How many nats of evidence worse a level has to be to end the search.
 const WORSE: f64 = 2.0;
+/// Part of the knots in contact from which on trials are followed by simulation.
+const IN_CONTACT: f64 = 0.01;
 
 /// Estimates parameters and trajectories. `watch` is told of each iteration, and stops the solver by `false`.
 ///
@@ -64,6 +79,10 @@ pub fn solve(
     start: &Start,
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Fit, SysidError> {
+    if settings.levels.is_empty() {
+        let reason = "no level of unexplained force is given".into();
+        return Err(SysidError::Setting { reason });
+    }
     let trajectories = match &start.trajectories {
         Some(given) => given.clone(),
         None => (problem.trials.iter())
@@ -72,30 +91,47 @@ pub fn solve(
     };
     let scale = match &start.force_scale {
         Some(given) => given.clone(),
-        None => first_force_scale(problem, &start.x, &trajectories)?,
+        None => force_scale(problem, &start.x)?,
     };
-    let mut solver = Solver::new(problem, start.x.clone(), trajectories);
+    let mut history = Vec::new();
+    let mut watch = |i: &Iteration| {
+        history.push(i.clone());
+        watch(i)
+    };
+    let track = match settings.tracking {
+        Tracking::Auto => start::contact(problem, &start.x, &trajectories)? > IN_CONTACT,
+        Tracking::Always => true,
+        Tracking::Never => false,
+    };
+    let tracked = if track {
+        tracked(problem, settings, &start.x, &trajectories, &scale, &mut watch)?
+    } else {
+        None
+    };
+    let mut fit = match tracked {
+        Some(fit) => fit,
+        None => descended(problem, settings, &start.x, trajectories, &scale, &mut watch)?,
+    };
+    fit.history = history;
+    Ok(fit)
+}
+
+/// By levels of unexplained force, on the trajectories as a whole.
+fn descended(
+    problem: &Problem,
+    settings: &JointSettings,
+    x: &[f64],
+    trajectories: Vec<Vec<f64>>,
+    scale: &[f64],
+    watch: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<Fit, SysidError> {
+    let mut solver = Solver::new(problem, x.to_vec(), trajectories);
     let mut best: Option<Fit> = None;
     for (i, &level) in settings.levels.iter().enumerate() {
         let last = i + 1 == settings.levels.len();
-        for ((sigma, given), scale) in (solver.force_sigma.iter_mut())
-            .zip(&problem.force_sigma)
-            .zip(&scale)
-        {
-            // a given sigma is where its joint ends; until then it is eased like the others
-            let ratio = level / settings.levels.last().copied().unwrap_or(1.0);
-            *sigma = if *given > 0.0 {
-                given * ratio
-            } else {
-                level * scale
-            };
-        }
+        solver.force_sigma = problem.force_sigma_at(level, scale);
         let early = !last && (!settings.by_evidence || level > COARSE);
-        let (limit, tolerance) = if early {
-            (6, 1e-2)
-        } else {
-            (settings.max_iterations, settings.tolerance)
-        };
+        let (limit, tolerance) = if early { (6, 1e-2) } else { (settings.max_iterations, settings.tolerance) };
         if early || i == 0 {
             // the motion first finds its contacts with the parameters as they are
             solver.hold = true;
@@ -107,23 +143,52 @@ pub fn solve(
             continue;
         }
         let fit = solver.conclude(level, status)?;
-        let worse = best
-            .as_ref()
-            .is_some_and(|b| fit.negative_log_evidence > b.negative_log_evidence + WORSE);
-        if best.as_ref().is_none_or(|b| {
-            !settings.by_evidence || fit.negative_log_evidence < b.negative_log_evidence
-        }) {
+        let evidence = best.as_ref().map_or(f64::INFINITY, |b| b.negative_log_evidence);
+        let stop = settings.by_evidence && fit.negative_log_evidence > evidence + WORSE;
+        if best.is_none() || !settings.by_evidence || fit.negative_log_evidence < evidence {
             best = Some(fit);
         }
-        if status == Status::Interrupted || (settings.by_evidence && worse) {
+        if stop || status == Status::Interrupted {
             break;
         }
     }
-    let mut fit = best.ok_or_else(|| SysidError::Setting {
-        reason: "no level of unexplained force is given".into(),
-    })?;
-    fit.history = solver.history;
-    Ok(fit)
+    match best {
+        Some(fit) => Ok(fit),
+        None => solver.conclude(settings.levels[settings.levels.len() - 1], Status::MaxIterations),
+    }
+}
+
+/// By following the trials; `None` if they are lost.
+fn tracked(
+    problem: &Problem,
+    settings: &JointSettings,
+    x: &[f64],
+    trajectories: &[Vec<f64>],
+    scale: &[f64],
+    watch: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<Option<Fit>, SysidError> {
+    let beliefs = (problem.trials.iter().zip(trajectories))
+        .map(|(trial, qpos)| start::belief(problem, trial, x, qpos))
+        .collect::<Result<Vec<_>, _>>()?;
+    let likelihood = Likelihood { problem, force_scale: scale, beliefs: &beliefs, stride: 1 };
+    let Some(found) = likelihood.search(x, &settings.levels, settings.by_evidence, watch)? else {
+        return Ok(None);
+    };
+    let Some(followed) = likelihood.follow(&found.x, found.level, found.noise, true)? else {
+        return Ok(None);
+    };
+    let mut innovations = Innovations { n_parameters: x.len(), ..Innovations::default() };
+    let (mut motion, mut nll) = (Vec::new(), 0.0);
+    for (trial, f) in followed.into_iter().enumerate() {
+        innovations.rows.extend(f.innovations);
+        innovations.places.extend(f.knots.iter().map(|&k| (trial, k)));
+        motion.push(f.qpos);
+        nll += f.nll;
+    }
+    let mut solver = Solver::new(problem, found.x, motion);
+    solver.force_sigma = problem.force_sigma_at(found.level, scale);
+    let linear = solver.conclude(found.level, found.status)?;
+    Ok(Some(Fit { cost: nll, negative_log_evidence: nll, innovations, ..linear }))
 }
 
 /// Size of the forces at each degree of freedom, N m or N.
@@ -145,31 +210,4 @@ pub fn force_scale(problem: &Problem, x: &[f64]) -> Result<Vec<f64>, SysidError>
         }
     }
     start::force_scale(&problem.model, rows.into_iter())
-}
-
-/// As [`force_scale`], at least as large as what the first trajectory leaves unexplained.
-fn first_force_scale(
-    problem: &Problem,
-    x: &[f64],
-    trajectories: &[Vec<f64>],
-) -> Result<Vec<f64>, SysidError> {
-    let mut scale = force_scale(problem, x)?;
-    let mut square = vec![0.0; scale.len()];
-    let mut n: f64 = 0.0;
-    for (trial, qpos) in problem.trials.iter().zip(trajectories) {
-        let point = Point {
-            problem,
-            trial,
-            qpos,
-            x,
-        };
-        for row in point.evaluate()?.force.chunks_exact(scale.len()) {
-            square.iter_mut().zip(row).for_each(|(s, f)| *s += f * f);
-            n += 1.0;
-        }
-    }
-    for (scale, square) in scale.iter_mut().zip(square) {
-        *scale = scale.max((square / n.max(1.0)).sqrt());
-    }
-    Ok(scale)
 }

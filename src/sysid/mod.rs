@@ -32,6 +32,7 @@ pub mod interval;
 pub mod inverse;
 pub mod joint;
 pub mod leave_out;
+mod likelihood;
 mod linearise;
 mod long_run;
 mod manifold;
@@ -39,14 +40,18 @@ pub mod method;
 mod newton;
 pub mod norm;
 pub mod parameter;
+mod point;
+mod pose;
 pub mod predict;
 pub mod problem;
 mod rows;
 mod separate;
 pub mod shooting;
+mod smooth;
 mod start;
 mod student;
 pub mod summary;
+mod track;
 mod trial;
 
 use thiserror::Error;
@@ -91,6 +96,17 @@ pub enum SysidError {
         recording: String,
         /// what is wrong
         reason: String,
+    },
+    /// The engine takes no step from where the estimate is.
+    #[error(
+        "recording `{recording}`: the engine takes no step at {time_s} s, its numbers become too large; check units, \
+         and where parameters start"
+    )]
+    NoStep {
+        /// its name
+        recording: String,
+        /// s since the first knot
+        time_s: f64,
     },
     /// A setting is out of range.
     #[error("{reason}")]

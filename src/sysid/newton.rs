@@ -1,20 +1,19 @@
 //! Damped Gauss-Newton at one level of unexplained force.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use super::SysidError;
 use super::arrow::Arrow;
 use super::box_qp::solve_in_box;
 use super::fit::{Fit, Innovations, Iteration, Status};
-use super::linearise::{Evaluated, Point};
-use super::parameter::Scale;
+use super::linearise::Blocks;
+use super::point::{Evaluated, Point};
 use super::problem::Problem;
 
 const FIRST_DAMPING: f64 = 1e-3;
 const LEAST_DAMPING: f64 = 1e-9;
 const MOST_DAMPING: f64 = 1e8;
-/// Largest change of x on a log scale in one step.
-const LOG_STEP: f64 = 1.0;
 
 /// The present point of the descent.
 pub(super) struct Solver<'a> {
@@ -28,7 +27,6 @@ pub(super) struct Solver<'a> {
     damping: f64,
     /// whether parameters stay as they are
     pub hold: bool,
-    pub history: Vec<Iteration>,
 }
 
 impl<'a> Solver<'a> {
@@ -40,7 +38,6 @@ impl<'a> Solver<'a> {
             trajectories,
             damping: FIRST_DAMPING,
             hold: false,
-            history: Vec::new(),
         }
     }
 
@@ -61,16 +58,18 @@ impl<'a> Solver<'a> {
         tolerance: f64,
         watch: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Status, SysidError> {
-        let mut cost = self.cost(&self.x, &self.trajectories)?;
         let mut small = 0;
         for _ in 0..limit {
+            let linear = self.linearise()?;
+            let mut cost = f64::INFINITY;
             let mut taken = None;
             while taken.is_none() && self.damping <= MOST_DAMPING {
-                let (arrows, dx) = self.step(self.damping)?;
+                let (arrows, dx, present) = self.step(&linear, self.damping);
+                cost = present;
                 let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
                 let moved = self.moved(&arrows, &dx)?;
                 // a trial step may leave what the engine accepts: then it is no step
-                let new = self.cost(&x, &moved).unwrap_or(f64::INFINITY);
+                let new = self.cost(&x, &moved, &linear).unwrap_or(f64::INFINITY);
                 if new.is_finite() && new <= cost {
                     taken = Some((x, moved, new, dx));
                 } else {
@@ -86,7 +85,8 @@ impl<'a> Solver<'a> {
                 });
             };
             let decrease = (cost - new) / cost.max(f64::MIN_POSITIVE);
-            (self.x, self.trajectories, cost) = (x, moved, new);
+            (self.x, self.trajectories) = (x, moved);
+            let cost = new;
             let step = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
             let record = Iteration {
                 level,
@@ -97,7 +97,6 @@ impl<'a> Solver<'a> {
             };
             self.damping = (self.damping * 0.1).max(LEAST_DAMPING);
             let go_on = watch(&record);
-            self.history.push(record);
             if !go_on {
                 return Ok(Status::Interrupted);
             }
@@ -110,19 +109,26 @@ impl<'a> Solver<'a> {
         Ok(Status::MaxIterations)
     }
 
-    fn cost(&self, x: &[f64], trajectories: &[Vec<f64>]) -> Result<f64, SysidError> {
+    fn linearise(&self) -> Result<Vec<Blocks>, SysidError> {
+        (self.trajectories.iter().enumerate())
+            .map(|(i, qpos)| self.point(i, qpos, &self.x).linearise())
+            .collect()
+    }
+
+    /// Cost of a trial step; missing forces by the A of the present linearisation.
+    fn cost(&self, x: &[f64], trajectories: &[Vec<f64>], linear: &[Blocks]) -> Result<f64, SysidError> {
         let nv = self.problem.model.nv();
         let n_channels = self.problem.channels.len();
         let free = self.problem.free_values(x);
-        let mut sum = 0.0;
+        let mut force = vec![0.0; nv];
+        let mut sum = self.prior_cost(x);
         for (i, qpos) in trajectories.iter().enumerate() {
-            let Evaluated { force, sensors } = self.point(i, qpos, x).evaluate()?;
-            for row in force.chunks_exact(nv) {
-                for ((f, sigma), norm) in row
-                    .iter()
-                    .zip(&self.force_sigma)
-                    .zip(&self.problem.force_norm)
-                {
+            let Some(Evaluated { defect, sensors, .. }) = self.point(i, qpos, x).evaluate(false)? else {
+                return Ok(f64::INFINITY);
+            };
+            for (k, defect) in defect.chunks_exact(nv).enumerate() {
+                linear[i].force(k, defect, &mut force);
+                for ((f, sigma), norm) in force.iter().zip(&self.force_sigma).zip(&self.problem.force_norm) {
                     sum += norm.cost(f / sigma);
                 }
             }
@@ -137,18 +143,27 @@ impl<'a> Solver<'a> {
                 sum += channel.norm.cost((predicted - s.value) / channel.sigma);
             }
         }
-        for (p, &x) in self.problem.parameters.iter_free().zip(x) {
-            if p.prior_sigma.is_finite() {
-                sum += 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2);
-            }
-        }
         Ok(sum)
     }
 
+    fn prior_cost(&self, x: &[f64]) -> f64 {
+        (self.problem.parameters.iter_free().zip(x))
+            .filter(|(p, _)| p.prior_sigma.is_finite())
+            .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
+            .sum()
+    }
+
+    /// All trajectories eliminated, and their cost.
+    fn eliminate_all(&self, linear: &[Blocks], damping: f64) -> (Vec<Arrow>, f64) {
+        let (arrows, costs): (Vec<_>, Vec<f64>) =
+            (linear.par_iter().enumerate()).map(|(i, blocks)| self.eliminate(i, blocks, damping)).unzip();
+        (arrows, costs.iter().sum::<f64>() + self.prior_cost(&self.x))
+    }
+
     /// The step at a damping: eliminated trajectories, and the change of the parameters within their bounds.
-    fn step(&self, damping: f64) -> Result<(Vec<Arrow>, Vec<f64>), SysidError> {
+    fn step(&self, linear: &[Blocks], damping: f64) -> (Vec<Arrow>, Vec<f64>, f64) {
         let np = self.x.len();
-        let arrows = self.eliminate(damping)?;
+        let (arrows, cost) = self.eliminate_all(linear, damping);
         let mut normal = DMatrix::zeros(np, np);
         let mut right = DVector::zeros(np);
         for row in arrows
@@ -162,29 +177,17 @@ impl<'a> Solver<'a> {
                 }
             }
         }
-        let mut low = vec![0.0; np];
-        let mut high = vec![0.0; np];
         for (i, p) in self.problem.parameters.iter_free().enumerate() {
             normal[(i, i)] += damping / p.typical.powi(2);
             if p.prior_sigma.is_finite() {
                 normal[(i, i)] += p.prior_sigma.powi(-2);
                 right[i] -= (self.x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
             }
-            let (lower, upper) = p.bounds();
-            let most = if p.scale == Scale::Log {
-                LOG_STEP
-            } else {
-                f64::INFINITY
-            };
-            if self.hold {
-                continue;
-            }
-            (low[i], high[i]) = (
-                (lower - self.x[i]).max(-most),
-                (upper - self.x[i]).min(most),
-            );
         }
-        Ok((arrows, solve_in_box(&normal, &right, &low, &high)))
+        let reach = self.problem.parameters.reach(&self.x);
+        let (low, high): (Vec<f64>, Vec<f64>) = reach.map(|(l, h)| if self.hold { (0.0, 0.0) } else { (l, h) }).unzip();
+        let dx = solve_in_box(&normal, &right, &low, &high);
+        (arrows, dx, cost)
     }
 
     fn moved(&self, arrows: &[Arrow], dx: &[f64]) -> Result<Vec<Vec<f64>>, SysidError> {
@@ -204,8 +207,8 @@ impl<'a> Solver<'a> {
 
     /// The fit at the present point, undamped.
     pub(super) fn conclude(&self, level: f64, status: Status) -> Result<Fit, SysidError> {
-        let cost = self.cost(&self.x, &self.trajectories)?;
-        let arrows = self.eliminate(LEAST_DAMPING)?;
+        let linear = self.linearise()?;
+        let (arrows, cost) = self.eliminate_all(&linear, LEAST_DAMPING);
         let mut innovations = Innovations {
             n_parameters: self.x.len(),
             ..Innovations::default()
@@ -217,10 +220,7 @@ impl<'a> Solver<'a> {
             innovations
                 .places
                 .extend(arrow.innovation_knots.iter().map(|&k| (trial, k)));
-            negative_log_evidence += arrow.log_diagonal();
-            let n = self.problem.trials[trial].n_knots - 2;
-            negative_log_evidence +=
-                n as f64 * self.force_sigma.iter().map(|s| s.ln()).sum::<f64>();
+            negative_log_evidence += arrow.log_diagonal() - self.log_volume(trial, &linear[trial]);
             let (ratio, (knot, dof)) = arrow.weakest();
             if ratio < weakest.0 {
                 weakest = (ratio, trial, knot, dof);
@@ -238,5 +238,25 @@ impl<'a> Solver<'a> {
             innovations,
             weakest,
         })
+    }
+
+    /// Σ log |det ∂ρ/∂q₊| − Σ log σ of samples.
+    fn log_volume(&self, trial: usize, linear: &Blocks) -> f64 {
+        let nv = self.problem.model.nv();
+        let whitening: f64 = self.force_sigma.iter().map(|s| s.ln()).sum();
+        let knots = 1..self.problem.trials[trial].n_knots - 1;
+        let forces: f64 = (knots.into_par_iter())
+            .map(|k| {
+                let block = DMatrix::from_fn(nv, nv, |i, j| linear.row(k, i)[2 * nv + j]);
+                let u = block.lu().u();
+                u.diagonal().iter().map(|d| d.abs().max(f64::MIN_POSITIVE).ln()).sum::<f64>() - whitening
+            })
+            .collect::<Vec<f64>>()
+            .iter()
+            .sum();
+        let samples = &self.problem.trials[trial].samples;
+        let placed = self.placed(trial, &self.x);
+        let sensors = placed.iter().map(|p| self.problem.channels[samples[p.sample].channel].sigma.ln());
+        forces - sensors.sum::<f64>()
     }
 }

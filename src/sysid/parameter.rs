@@ -25,6 +25,9 @@ use crate::mjcf::attribute::{self, Target};
 use crate::mjcf::{edit, glob};
 use crate::mujoco::{Data, Model, ObjectKind};
 
+/// Largest change of x on a log scale in one step of an estimator.
+const LOG_STEP: f64 = 1.0;
+
 /// How a value is written in the estimator's number x.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -252,6 +255,23 @@ impl Parameters {
             values[i] = self.all[i].to_value(x);
         }
         values
+    }
+
+    /// Change of the value of estimated parameter `j`, now `value`, with its x.
+    pub fn slope(&self, j: usize, value: f64) -> f64 {
+        match self.all[self.free[j]].scale {
+            Scale::Linear => 1.0,
+            Scale::Log => value,
+        }
+    }
+
+    /// How far x (free) may go down and up in one step of an estimator.
+    pub(super) fn reach(&self, x: &[f64]) -> impl Iterator<Item = (f64, f64)> {
+        self.iter_free().zip(x).map(|(p, x)| {
+            let (lower, upper) = p.bounds();
+            let most = if p.scale == Scale::Log { LOG_STEP } else { f64::INFINITY };
+            ((lower - x).max(-most), (upper - x).min(most))
+        })
     }
 
     /// Whether estimated parameter `j` changes the model, not an instrument.

@@ -73,7 +73,11 @@ pub fn explain(
     let n_channels = problem.channels.len();
     (problem.trials.iter().enumerate())
         .map(|(i, trial)| {
-            let evaluated = solver.point(i, &trajectories[i], x).evaluate()?;
+            let evaluated = solver.point(i, &trajectories[i], x).evaluate(true)?;
+            let evaluated = evaluated.ok_or_else(|| SysidError::NoStep {
+                recording: trial.name.clone(),
+                time_s: 0.0,
+            })?;
             let mut channels = vec![Predicted::default(); n_channels];
             let mut placed = solver.placed(i, x);
             placed.sort_by_key(|p| p.sample);

@@ -230,6 +230,30 @@ impl Problem {
         Ok(problem)
     }
 
+    /// (nv) standard deviation of unexplained forces at a level, where forces are as large as `scale`. A given one is
+    /// eased above level 1.
+    pub(super) fn force_sigma_at(&self, level: f64, scale: &[f64]) -> Vec<f64> {
+        (self.force_sigma.iter().zip(scale))
+            .map(|(given, scale)| if *given > 0.0 { given * level.max(1.0) } else { level * scale })
+            .collect()
+    }
+
+    /// How far every channel ranges over all trials: the most of those with its unit, as the one that hardly moves
+    /// belongs to a motion like theirs.
+    pub(super) fn channel_ranges(&self) -> Vec<f64> {
+        let mut ends = vec![(f64::INFINITY, f64::NEG_INFINITY); self.channels.len()];
+        for s in self.trials.iter().flat_map(|t| &t.samples) {
+            let (low, high) = &mut ends[s.channel];
+            (*low, *high) = (low.min(s.value), high.max(s.value));
+        }
+        let ranges: Vec<f64> = ends.into_iter().map(|(low, high)| (high - low).max(0.0)).collect();
+        let alike = |c: &Channel| {
+            let pairs = self.channels.iter().zip(&ranges);
+            pairs.filter(|(o, _)| o.unit == c.unit).fold(0.0_f64, |m, (_, r)| m.max(*r))
+        };
+        self.channels.iter().map(alike).collect()
+    }
+
     /// Values of the free parameters at `x`.
     pub fn free_values(&self, x: &[f64]) -> Vec<f64> {
         self.parameters

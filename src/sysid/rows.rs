@@ -1,16 +1,10 @@
 //! Whitened rows of the linearised problem, knot by knot, into the elimination.
 
-use std::ops::Range;
-
-use super::SysidError;
 use super::arrow::Arrow;
-use super::linearise::Point;
+use super::linearise::Blocks;
 use super::newton::Solver;
-use super::parameter::Scale;
 use super::problem::{Setting, Stage};
 
-/// Knots linearised at a time, which bounds the memory.
-const BLOCK: usize = 512;
 /// Change of a position that the damping resists like one of the parameters' typical changes, rad or m.
 const TYPICAL_POSITION: f64 = 0.01;
 
@@ -54,49 +48,24 @@ impl Solver<'_> {
         placed
     }
 
-    /// All trajectories eliminated.
-    pub(super) fn eliminate(&self, damping: f64) -> Result<Vec<Arrow>, SysidError> {
-        let (nv, np) = (self.problem.model.nv(), self.x.len());
-        let mut arrows = Vec::new();
-        for (i, trial) in self.problem.trials.iter().enumerate() {
-            let point = self.point(i, &self.trajectories[i], &self.x);
-            let placed = self.placed(i, &self.x);
-            let mut next = 0;
-            let mut arrow = Arrow::new(nv, np);
-            for from in (0..trial.n_knots).step_by(BLOCK) {
-                let range = from..(from + BLOCK).min(trial.n_knots);
-                next = self.feed(&mut arrow, &point, i, range, &placed, next, damping)?;
-            }
-            arrow.finish(trial.n_knots);
-            arrows.push(arrow);
-        }
-        Ok(arrows)
-    }
-
-    #[allow(clippy::too_many_arguments)] // all of one loop, cut for the memory's sake
-    fn feed(
-        &self,
-        arrow: &mut Arrow,
-        point: &Point<'_>,
-        trial: usize,
-        range: Range<usize>,
-        placed: &[Placed],
-        mut next: usize,
-        damping: f64,
-    ) -> Result<usize, SysidError> {
+    /// A trajectory eliminated, and the cost of its residuals.
+    pub(super) fn eliminate(&self, trial: usize, blocks: &Blocks, damping: f64) -> (Arrow, f64) {
         let (nv, np) = (self.problem.model.nv(), self.x.len());
         let free = self.problem.free_values(&self.x);
+        let placed = self.placed(trial, &self.x);
         let trial = &self.problem.trials[trial];
         let h = self.problem.model.timestep();
         let width = 3 * nv + np + 1;
-        let blocks = point.linearise(range.start..(range.end + 1).min(trial.n_knots))?;
         let resist = damping.sqrt() / TYPICAL_POSITION;
-        for k in range {
+        let mut arrow = Arrow::new(nv, np);
+        let (mut cost, mut next) = (0.0, 0);
+        for k in 0..trial.n_knots {
             if k > 0 && k + 1 < trial.n_knots {
-                for i in 0..nv {
+                for (i, (sigma, norm)) in self.force_sigma.iter().zip(&self.problem.force_norm).enumerate() {
                     let source = blocks.row(k, i);
-                    let r = source[width - 1] / self.force_sigma[i];
-                    let factor = self.problem.force_norm[i].weight(r).sqrt() / self.force_sigma[i];
+                    let r = source[width - 1] / sigma;
+                    cost += norm.cost(r);
+                    let factor = norm.weight(r).sqrt() / sigma;
                     let row = arrow.row();
                     for (row, s) in row.iter_mut().zip(source) {
                         *row = factor * s;
@@ -132,6 +101,7 @@ impl Solver<'_> {
                 }
                 let z = row[width - 1];
                 let r = (gain * z + bias - s.value) / channel.sigma;
+                cost += channel.norm.cost(r);
                 let factor = channel.norm.weight(r).sqrt() / channel.sigma;
                 for v in row.iter_mut() {
                     *v *= factor * gain;
@@ -142,9 +112,7 @@ impl Solver<'_> {
                     (channel.delay, -gain * slope),
                 ] {
                     if let Setting::Free(j) = setting {
-                        let p = &self.problem.parameters.all[self.problem.parameters.free[j]];
-                        // a value on a log scale changes by itself
-                        let by_x = if p.scale == Scale::Log { free[j] } else { 1.0 };
+                        let by_x = self.problem.parameters.slope(j, free[j]);
                         row[3 * nv + j] += factor * derivative * by_x;
                     }
                 }
@@ -156,6 +124,7 @@ impl Solver<'_> {
             }
             arrow.close(k);
         }
-        Ok(next)
+        arrow.finish(trial.n_knots);
+        (arrow, cost)
     }
 }

@@ -6,6 +6,7 @@ use phantom::mujoco::{Data, Model};
 use phantom::recording::{Channel, Kind, Recording, Stream};
 use phantom::rng::{self, Purpose};
 use phantom::sysid::joint::{Fit, JointSettings, Start, solve};
+use phantom::sysid::norm::Norm;
 use phantom::sysid::parameter::ParameterRule;
 use phantom::sysid::problem::{ChannelRule, Problem, ProblemConfig};
 
@@ -23,7 +24,7 @@ const PUSH: &str = r#"<mujoco><option timestep="0.002" cone="elliptic" impratio=
 <sensor><jointpos name="xs" joint="x"/><jointpos name="ys" joint="y"/>
 <framepos name="cp" objtype="body" objname="cyl"/></sensor></mujoco>"#;
 
-const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
+pub(crate) const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
 
 fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
     Channel {
@@ -36,6 +37,11 @@ fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
 
 /// The reference motion of 2 s, as a recording.
 fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
+    let (a, b, _) = pushed_run(noise_m, seed);
+    (a, b)
+}
+
+pub(crate) fn pushed_run(noise_m: f64, seed: u64) -> (Arc<Model>, Recording, Vec<f64>) {
     let model = Arc::new(Model::from_xml_str(PUSH).expect("loads"));
     let mut data = Data::new(model.clone()).expect("data");
     let run = simulate(&mut data, 1000, |data, ctrl| {
@@ -72,16 +78,10 @@ fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
         sensors.push(stamp, &noisy);
         controls.push(stamp, u);
     }
-    (
-        model,
-        Recording {
-            streams: vec![sensors, controls],
-            ..Recording::default()
-        },
-    )
+    (model, Recording { streams: vec![sensors, controls], ..Recording::default() }, run.qpos.concat())
 }
 
-fn config(sigma: f64) -> ProblemConfig {
+pub(crate) fn config(sigma: f64) -> ProblemConfig {
     let rule = |element, attribute, components: &[usize], lower, upper| ParameterRule {
         components: components.to_vec(),
         lower: Some(lower),
@@ -97,7 +97,7 @@ fn config(sigma: f64) -> ProblemConfig {
         channel: vec![ChannelRule {
             name: "*".into(),
             noise_sigma: Some(sigma),
-            norm: Default::default(),
+            norm: Norm::default(),
             ignore: false,
         }],
         ..ProblemConfig::default()
@@ -124,7 +124,7 @@ fn identify(problem: &Problem, x: Vec<f64>) -> Fit {
     fit.expect("solved")
 }
 
-fn random_start(i: u64) -> Vec<f64> {
+pub(crate) fn random_start(i: u64) -> Vec<f64> {
     let mut rng = rng::stream(7, Purpose::Start, 0, i);
     [(0.05, 1.2), (0.05, 1.5), (0.1, 2.0)]
         .map(|(a, b)| rng::uniform(&mut rng, a, b).ln())
@@ -177,27 +177,7 @@ fn push_task_with_noise_from_sixteen_random_starts() {
 
 #[test]
 #[ignore]
-fn scratch_shooting() {
-    use phantom::sysid::shooting::{self, ShootingSettings};
+fn push_few() {
     let get = |n: &str, d: f64| std::env::var(n).map_or(d, |v| v.parse().expect("number"));
-    let (noise, sigma) = (get("NOISE", 0.0), get("SIGMA", 1e-6));
-    let plan: Vec<(f64, f64, f64)> = std::env::var("PLAN").unwrap().split(',').map(|p| { let v: Vec<f64> = p.split(':').map(|v| v.parse().unwrap()).collect(); (v[0], v[1], v[2]) }).collect();
-    let (model, recording) = pushed(noise, 3);
-    for i in get("FROM", 0.0) as u64..get("N", 1.0) as u64 {
-        let began = std::time::Instant::now();
-        let mut x = random_start(i);
-        if let Ok(v) = std::env::var("X") { x = v.split(',').map(|v| v.parse::<f64>().unwrap().ln()).collect(); }
-        let mut trajectories = None;
-        for &(w, j, s) in &plan {
-            let problem = Problem::new(model.clone(), &config(sigma.max(s)), &[("push".into(), recording.clone())]).expect("fits");
-            let settings = ShootingSettings { window_s: w, jump_sigma: (j > 0.0).then_some(j), free_states: std::env::var("HOLD").is_err(), first_s: std::env::var("GROW").ok().map(|v| v.parse().unwrap()), max_iterations: get("ITERS", 30.0) as usize, ..Default::default() };
-            let fit = shooting::solve(&problem, &settings, &Start { x: x.clone(), trajectories: trajectories.clone(), force_scale: None }, &mut |i| {
-                if get("V", 0.0) > 0.0 { println!("   cost {:.4e} damping {:.0e} step {:.1e} {:.4?}", i.cost, i.damping, i.step, i.x.iter().map(|x| x.exp()).collect::<Vec<_>>()); }
-                true
-            }).unwrap();
-            let v: Vec<f64> = fit.x.iter().map(|x| x.exp()).collect();
-            println!("start {i} w {w} j {j} s {s}: {v:.4?} cost {:.4e} {:?} {} it {:.1} s", fit.cost, fit.status, fit.history.len(), began.elapsed().as_secs_f64());
-            x = fit.x; trajectories = Some(fit.trajectories);
-        }
-    }
+    successes(get("NOISE", 0.0), get("SIGMA", 1e-6), 0.02, get("N", 2.0) as u64);
 }
