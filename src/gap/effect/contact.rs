@@ -160,7 +160,7 @@ impl Effect for TorsionalFriction {
             signature: "moment about the normal while turning, proportional to the normal force",
             parameters: &[
                 Parameter::amplitude("coefficient", Dimension::Length, [0.005, 0.2]),
-                Parameter::shape("speed", Dimension::Spin, &[SPIN], [0.01, 1.0]),
+                Parameter::choice("speed", Dimension::Spin, &[SPIN], [0.01, 1.0]),
             ],
             neighbours: &[
                 Neighbour {

@@ -341,7 +341,7 @@ impl Effect for Stop {
                     [-1.0, 1.0],
                 )
                 .signed(),
-                Parameter::shape("side", Dimension::Share, &[1.0, -1.0], [-1.0, 1.0]).signed(),
+                Parameter::choice("side", Dimension::Share, &[1.0, -1.0], [-1.0, 1.0]).signed(),
                 Parameter::shape("damping", Dimension::ForcePerSpeed, &[0.0], [0.0, 10.0]),
             ],
             neighbours: &[
