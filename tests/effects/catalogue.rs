@@ -1,5 +1,6 @@
 //! The catalogue's own consistency, and what is refused.
 
+use phantom::gap::effect::Parameter;
 use phantom::gap::effect::{CATALOGUE, Place, PlaceKind, Role, Scales, candidates, named, write};
 use phantom::rig::behaviour::BEHAVIOURS;
 
@@ -36,7 +37,7 @@ fn every_effect_is_there_once_and_knows_its_like() {
             );
         }
         assert!(
-            about.parameters.iter().any(|p| p.is_size()),
+            about.parameters.iter().any(Parameter::is_size),
             "{}",
             about.name
         );
