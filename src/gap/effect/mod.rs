@@ -1,7 +1,7 @@
 //! The catalogue of effects that a model may lack.
 //!
 //! An [`Effect`] knows its law, its parameters, where on a model it can act, how a model file says it, and what it may be
-//! mistaken for. [`write`] puts one into a model file: by attributes and elements where `MuJoCo` 2.2.2 has them, else as a
+//! mistaken for. [`write()`] puts one into a model file: by attributes and elements where `MuJoCo` 2.2.2 has them, else as a
 //! [`crate::supplement`]. What comes back, [`Written`], is a model to simulate and identify, with one rule of
 //! [`crate::sysid`] a parameter.
 //!
