@@ -12,6 +12,7 @@ What is computed again, from the inputs of the record alone:
   trajectory    the whole simulation from its start under the recorded controls
   halves        that mj_step makes the same trajectory as the mj_step2, mj_step1 of rollouts
   inverse       mj_inverse at states on the way
+  supplements   the same with a model that has one of every kind, by phantom_supplement.py
   task          observations by joint name, rewards and distances by their formulas
   policy        mean actions, by phantom_policy.py
   update        value fits, advantages, gradient, natural gradient, step, KL, for both Fisher matrices, for white noise,
@@ -40,6 +41,7 @@ except ImportError as missing:
     sys.exit(2)
 
 from phantom_policy import check_policy, evaluate_policy
+from phantom_supplement import Supplement
 
 ROOT = Path(__file__).resolve().parent.parent
 FORMAT = "phantom-crosscheck-1"
@@ -155,26 +157,28 @@ def simulate(model, run, advance, restart):
     doing so a second time may change the last digit; the solver, which stops when the next iteration gains little,
     makes 1e-5 of that now and then. Such steps are left out.
     """
-    data = mujoco.MjData(model)
-    columns, steps = {name: [] for name in (*STATE, "sensordata", "ncon")}, []
+    data, machine = mujoco.MjData(model), Supplement(model)
+    columns, steps = {name: [] for name in (*STATE, "sensordata", "ncon", "memory")}, []
     before = run["start"]
     fixed = {name: before[name] for name in ("mocap_pos", "mocap_quat")}
     for t, ctrl in enumerate(run["ctrl"]):
         if t == 0 or restart:
             set_state(data, {**fixed, **before})
-            before = {name: run[name][t] for name in STATE}
+            machine.memory[:] = before["memory"]
+            before = {name: run[name][t] for name in (*STATE, "memory")}
             if advance == "halves":
                 given = np.array(data.qpos)
-                mujoco.mj_step1(model, data)
+                machine.step1(data)
                 if t > 0 and not np.array_equal(given, data.qpos):
                     continue
         steps.append(t)
         data.ctrl[:] = ctrl
         if advance == "halves":
-            mujoco.mj_step2(model, data)
-            mujoco.mj_step1(model, data)
+            machine.step2(data)
+            machine.step1(data)
         else:
-            mujoco.mj_step(model, data)
+            machine.step(data)
+        columns["memory"].append(np.array(machine.memory))
         for name in (*STATE, "sensordata"):
             columns[name].append(np.array(getattr(data, name)))
         columns["ncon"].append(data.ncon)
@@ -199,7 +203,7 @@ def compare_physics(case, table):
         advance = run["advance"]
         label = name if "," in name else f"{name}, {'mj_step' if advance == 'step' else advance}"
         single = simulate(model, run, advance, restart=True)
-        table.physics("one step", f"{label}: one step", errors_of(run, single, STATE))
+        table.physics("one step", f"{label}: one step", errors_of(run, single, (*STATE, "memory")))
         table.physics("sensors", f"{label}: sensors", errors_of(run, single, ["sensordata"]))
         contacts = np.subtract(np.take(run["ncon"], single[1]), single[0]["ncon"])
         table.physics("contacts", f"{label}: contacts", contacts)
@@ -209,11 +213,13 @@ def compare_physics(case, table):
         if advance == "halves":
             stepped = simulate(model, run, "step", restart=False)
             table.physics("halves", f"{label} = mj_step", errors_of(run, stepped, ("qpos", "qvel", "act")))
-    data, forces = mujoco.MjData(model), []
+    data, machine, forces = mujoco.MjData(model), Supplement(model), []
     for point in case["inverse"]:
         set_state(data, point["state"])
+        machine.memory[:] = point["state"]["memory"]
+        data.ctrl[:] = point["state"]["ctrl"]
         data.qacc[:] = point["qacc"]
-        mujoco.mj_inverse(model, data)
+        machine.inverse(data)
         forces.append(np.array(data.qfrc_inverse))
     recorded = np.array([point["qfrc_inverse"] for point in case["inverse"]])
     table.physics("inverse", f"{name}: inverse", np.abs(recorded - forces) / scale(recorded, True))

@@ -13,7 +13,9 @@ pub mod update;
 use std::path::Path;
 
 use serde::Serialize;
+use thiserror::Error;
 
+use crate::supplement::SupplementError;
 use crate::train::TrainError;
 use physics::Physics;
 use pushing::Pushing;
@@ -39,11 +41,23 @@ pub struct Record {
     pub update: UpdateRecord,
 }
 
+/// Why there is no record.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum CrosscheckError {
+    /// The pushing task or its training failed.
+    #[error(transparent)]
+    Train(#[from] TrainError),
+    /// A model cannot be loaded or simulated.
+    #[error(transparent)]
+    Supplement(#[from] SupplementError),
+}
+
 /// Compute a record from the models below `root`, the top of the repository.
 ///
 /// # Errors
 /// When a model cannot be loaded, or any of the computations fails.
-pub fn record(root: &Path, seed: u64) -> Result<Record, TrainError> {
+pub fn record(root: &Path, seed: u64) -> Result<Record, CrosscheckError> {
     let mut physics = physics::small_models(root, seed)?;
     let (phantom, pushing) = pushing::record(root, seed)?;
     physics.extend(phantom);

@@ -9,6 +9,7 @@ use serde::Serialize;
 use crate::mujoco::{Data, Model, MujocoError, State};
 use crate::rng::{self, Purpose, Stream};
 use crate::rollout::hold;
+use crate::supplement::{self, SupplementError};
 
 /// Physics steps of every simulation.
 pub const N_STEP: usize = 300;
@@ -66,6 +67,8 @@ pub struct Run {
     pub act: Vec<Vec<f64>>,
     /// (T × nv) the solver's starting point for the next step
     pub qacc_warmstart: Vec<Vec<f64>>,
+    /// (T × memory) what supplements remember
+    pub memory: Vec<Vec<f64>>,
     /// (T × nsensordata)
     pub sensordata: Vec<Vec<f64>>,
     /// (T) number of contacts
@@ -83,6 +86,8 @@ pub struct Full {
     pub mocap_pos: Vec<f64>,
     pub mocap_quat: Vec<f64>,
     pub qacc_warmstart: Vec<f64>,
+    pub ctrl: Vec<f64>,
+    pub memory: Vec<f64>,
 }
 
 /// Inverse dynamics at one state.
@@ -106,6 +111,8 @@ impl Full {
             mocap_pos: data.mocap_pos().to_vec(),
             mocap_quat: data.mocap_quat().to_vec(),
             qacc_warmstart: data.qacc_warmstart().to_vec(),
+            ctrl: data.ctrl().to_vec(),
+            memory: data.memory().to_vec(),
         }
     }
 }
@@ -151,6 +158,7 @@ impl Physics {
             qvel: Vec::new(),
             act: Vec::new(),
             qacc_warmstart: Vec::new(),
+            memory: Vec::new(),
             sensordata: Vec::new(),
             ncon: Vec::new(),
         };
@@ -168,6 +176,7 @@ impl Physics {
             run.qvel.push(data.qvel().to_vec());
             run.act.push(data.act().to_vec());
             run.qacc_warmstart.push(data.qacc_warmstart().to_vec());
+            run.memory.push(data.memory().to_vec());
             run.sensordata.push(data.sensordata().to_vec());
             run.ncon.push(data.ncon());
             if t % INVERSE_EVERY == 0 {
@@ -219,24 +228,29 @@ fn arrays(model: &Model) -> Arrays {
     named.filter(|(_, values)| !values.is_empty()).collect()
 }
 
-/// The pendulum, the arm and the box of the tests, from their initial states.
+/// The pendulum, the arm and the box of the tests from their initial states, and the model with all supplements from its
+/// keyframe.
 ///
 /// # Errors
 /// When a model cannot be loaded or the engine fails.
-pub fn small_models(root: &Path, seed: u64) -> Result<Vec<Physics>, MujocoError> {
+pub fn small_models(root: &Path, seed: u64) -> Result<Vec<Physics>, SupplementError> {
     // the pusher is driven towards the box on average
     let cases = [
         ("pendulum", vec![0.0], 2.0),
         ("arm", vec![0.0, 0.0], 4.0),
         ("push_box", vec![2.5], 2.5),
+        ("supplemented", vec![-2.1, -0.4], 1.5),
     ];
     let record = |(index, (name, centre, amplitude)): (usize, (&str, Vec<f64>, f64))| {
         let file = format!("tests/models/{name}.xml");
-        let model = Arc::new(Model::from_xml_path(root.join(&file))?);
+        let model = Arc::new(supplement::load(root.join(&file))?);
         let mut physics = Physics::new(name, &file, &model, &model);
         for (i, advance) in [Advance::Step, Advance::Halves].into_iter().enumerate() {
             let draw = |purpose| rng::stream(seed, purpose, index as u64, i as u64);
             let mut data = Data::new(Arc::clone(&model))?;
+            if model.extension().is_some() {
+                data.reset_to_keyframe(0)?;
+            }
             data.step1()?;
             let control = random_controls(draw(Purpose::Exploration), centre.clone(), amplitude);
             physics.simulate(&mut data, advance, &mut draw(Purpose::Start), control)?;

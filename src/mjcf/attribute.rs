@@ -147,10 +147,10 @@ impl Target {
             component,
             ..
         } = self;
-        let component = if attribute.width != 1 {
-            format!("[{component}]")
-        } else {
+        let component = if attribute.width == 1 {
             String::new()
+        } else {
+            format!("[{component}]")
         };
         format!("{}/{element} {}{component}", attribute.kind, attribute.name)
     }

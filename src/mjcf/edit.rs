@@ -129,15 +129,16 @@ pub fn write(edit: &mut ModelEdit<'_>, targets: &[(&Target, f64)], constants_don
             Place::Length(body) => {
                 let pos = &mut edit.body_pos()[3 * body..3 * body + 3];
                 let factor = value / norm(pos);
-                pos.iter_mut().for_each(|x| *x *= factor);
+                for x in pos {
+                    *x *= factor;
+                }
             }
             Place::Geometry(body) => {
                 for geom in body_geoms(edit.model(), body) {
-                    let three = 3 * geom..3 * geom + 3;
-                    edit.geom_size()[three.clone()]
-                        .iter_mut()
-                        .for_each(|x| *x *= value);
-                    edit.geom_pos()[three].iter_mut().for_each(|x| *x *= value);
+                    for i in 3 * geom..3 * geom + 3 {
+                        edit.geom_size()[i] *= value;
+                        edit.geom_pos()[i] *= value;
+                    }
                     resize(edit, geom);
                 }
             }

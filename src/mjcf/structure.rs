@@ -91,17 +91,15 @@ fn one(xml: &str, change: &Change) -> Result<String, MjcfError> {
             set(xml, node, &[(attribute, value.clone())], &[], &mut splices);
         }
         Change::Option { attribute, value } => write_option(root, attribute, value, &mut splices),
-        Change::Numeric { name, data } => match find(root, "custom", name) {
-            Ok(node) => {
-                let data = [("data", numbers(data))];
-                set(xml, node, &data, &["size"], &mut splices);
-            }
-            Err(_) => {
-                let data = numbers(data);
+        Change::Numeric { name, data } => {
+            let data = numbers(data);
+            if let Ok(node) = find(root, "custom", name) {
+                set(xml, node, &[("data", data)], &["size"], &mut splices);
+            } else {
                 let element = format!("<numeric name=\"{name}\" data=\"{data}\"/>");
                 in_section(xml, root, "custom", &element, &mut splices);
             }
-        },
+        }
         Change::Element {
             section,
             xml: element,
@@ -111,7 +109,7 @@ fn one(xml: &str, change: &Change) -> Result<String, MjcfError> {
             append(xml, node, element, &mut splices);
         }
         Change::General { actuator } => {
-            generalise(xml, find(root, "actuator", actuator)?, &mut splices)?
+            generalise(xml, find(root, "actuator", actuator)?, &mut splices)?;
         }
         Change::Room { rows } => enlarge(root, *rows, &mut splices),
     }
@@ -125,20 +123,19 @@ fn in_section(
     element: &str,
     splices: &mut Vec<Splice>,
 ) {
-    let sections = root.children().filter(|n| n.has_tag_name(section));
-    match sections.last() {
-        Some(node) => append(xml, node, element, splices),
-        None => {
-            let text = format!("<{section}>\n    {element}\n  </{section}>");
-            append(xml, root, &text, splices);
-        }
+    let existing = root.children().rfind(|n| n.has_tag_name(section));
+    if let Some(node) = existing {
+        append(xml, node, element, splices);
+    } else {
+        let text = format!("<{section}>\n    {element}\n  </{section}>");
+        append(xml, root, &text, splices);
     }
 }
 
 /// Puts an element behind the last one inside `node`, with the same indentation.
 fn append(xml: &str, node: Node<'_, '_>, element: &str, splices: &mut Vec<Splice>) {
     let own = indent_before(xml, node.range().start);
-    if let Some(last) = node.children().filter(Node::is_element).next_back() {
+    if let Some(last) = node.children().rfind(Node::is_element) {
         let at = last.range().end;
         let indent = indent_before(xml, last.range().start);
         splices.push(Splice {

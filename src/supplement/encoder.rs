@@ -63,13 +63,13 @@ impl Law for Scale {
 
     fn encode(&self, at: &At<'_>, joint: usize, reading: &mut [f64; 2]) {
         if joint == self.0 {
-            reading.iter_mut().for_each(|x| *x *= 1.0 + at.numbers[0]);
+            *reading = reading.map(|x| x * (1.0 + at.numbers[0]));
         }
     }
 
     fn decode(&self, at: &At<'_>, joint: usize, reading: &mut [f64; 2]) {
         if joint == self.0 {
-            reading.iter_mut().for_each(|x| *x /= 1.0 + at.numbers[0]);
+            *reading = reading.map(|x| x / (1.0 + at.numbers[0]));
         }
     }
 }

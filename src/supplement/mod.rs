@@ -14,9 +14,9 @@
 //!
 //! | part of a step | laws |
 //! | --- | --- |
-//! | commands | [`command`]: delay, lag, ripple |
-//! | forces | [`transmission`], [`friction`], [`joint`], [`contact`] |
-//! | readings | [`encoder`], [`sensor`], and the motor side of a [`transmission`] |
+//! | commands | `command`: delay, lag, ripple |
+//! | forces | `transmission`, `friction`, `joint`, `contact` |
+//! | readings | `encoder`, `sensor`, and the motor side of a `transmission` |
 //!
 //! A law of size 0 changes no bit. `scripts/phantom_supplement.py` does the same with the Python package.
 
@@ -32,6 +32,7 @@ mod parse;
 mod sensor;
 mod transmission;
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -137,34 +138,31 @@ impl Supplement {
         self.terms.iter().any(|t| t.kind.element == Element::Motor)
     }
 
-    /// Terms with their parts of the memory.
+    /// Terms with what they see, and where their parts of the memory are.
     fn each<'a>(
         &'a self,
         data: &'a Data,
         memory: &'a [f64],
-    ) -> impl Iterator<Item = (&'a Term, At<'a>)> {
-        let mut memory = memory;
+    ) -> impl Iterator<Item = (&'a Term, At<'a>, Range<usize>)> {
         let timestep = data.model().timestep();
+        let mut first = 0;
         self.terms.iter().map(move |term| {
-            let (own, rest) = memory.split_at(term.law.memory_len(timestep));
-            memory = rest;
-            let numbers = term.numbers(data.model());
-            (
-                term,
-                At {
-                    data,
-                    numbers,
-                    memory: own,
-                    timestep,
-                },
-            )
+            let part = first..first + term.law.memory_len(timestep);
+            first = part.end;
+            let at = At {
+                data,
+                numbers: term.numbers(data.model()),
+                memory: &memory[part.clone()],
+                timestep,
+            };
+            (term, at, part)
         })
     }
 
     /// What an encoder would show without delay, by the first `n` terms.
     fn instantaneous(&self, data: &Data, memory: &[f64], joint: usize, n: usize) -> [f64; 2] {
         let mut reading = data.joint_state(joint);
-        for (term, at) in self.each(data, memory).take(n) {
+        for (term, at, _) in self.each(data, memory).take(n) {
             term.law.encode(&at, joint, &mut reading);
         }
         reading
@@ -177,45 +175,39 @@ impl Term {
     }
 }
 
-/// Cuts the part of one term off `next`.
-fn cut<'a>(next: &mut &'a mut [f64], n: usize) -> &'a mut [f64] {
-    let (own, rest) = std::mem::take(next).split_at_mut(n);
-    *next = rest;
-    own
-}
-
 impl Extension for Supplement {
     fn memory_len(&self, model: &Model) -> usize {
         let timestep = model.timestep();
         self.terms.iter().map(|t| t.law.memory_len(timestep)).sum()
     }
 
-    fn command(&self, data: &Data, memory: &[f64], ctrl: &mut [f64], mut next: &mut [f64]) {
-        for (term, at) in self.each(data, memory) {
-            let own = cut(&mut next, at.memory.len());
-            term.law.command(&at, ctrl, own);
+    fn command(&self, data: &Data, memory: &[f64], ctrl: &mut [f64], next: &mut [f64]) {
+        for (term, at, part) in self.each(data, memory) {
+            term.law.command(&at, ctrl, &mut next[part]);
         }
     }
 
-    fn force(&self, data: &Data, memory: &[f64], forces: &mut Forces, mut next: &mut [f64]) {
-        for (n, (term, at)) in self.each(data, memory).enumerate() {
-            let own = cut(&mut next, at.memory.len());
+    fn force(&self, data: &Data, memory: &[f64], forces: &mut Forces, next: &mut [f64]) {
+        for (n, (term, at, part)) in self.each(data, memory).enumerate() {
+            let own = &mut next[part];
             term.law.force(&at, forces, own);
             let encoder = |joint| self.instantaneous(data, memory, joint, n);
             term.law.record(&at, &encoder, own);
         }
     }
 
-    fn settle(&self, data: &Data, mut next: &mut [f64]) {
+    fn settle(&self, data: &Data, next: &mut [f64]) {
         let timestep = data.model().timestep();
+        let mut first = 0;
         for term in &self.terms {
-            let own = cut(&mut next, term.law.memory_len(timestep));
-            term.law.settle(data, own);
+            let part = first..first + term.law.memory_len(timestep);
+            first = part.end;
+            term.law.settle(data, &mut next[part]);
         }
     }
 
     fn sense(&self, data: &Data, memory: &[f64], stage: Stage, sensordata: &mut [f64]) {
-        for (term, at) in self.each(data, memory) {
+        for (term, at, _) in self.each(data, memory) {
             term.law.sense(&at, stage, sensordata);
         }
         for &(joint, address, which) in &self.read {
@@ -232,7 +224,7 @@ impl Extension for Supplement {
     fn decode(&self, data: &Data, memory: &[f64], joint: usize, reading: [f64; 2]) -> [f64; 2] {
         let terms: Vec<_> = self.each(data, memory).collect();
         let mut state = reading;
-        for (term, at) in terms.iter().rev() {
+        for (term, at, _) in terms.iter().rev() {
             term.law.decode(at, joint, &mut state);
         }
         state

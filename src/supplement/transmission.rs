@@ -109,22 +109,19 @@ impl Motor {
                     speed: 0.0,
                 };
             }
-            match first_meeting(s, v, a, half).filter(|(t, _)| *t < time) {
-                Some((t, side)) => {
-                    self = Self {
-                        s: side * half,
-                        speed: 0.0,
-                    };
-                    time -= t;
-                }
-                None => {
-                    let s = (s + (v + 0.5 * a * time) * time).clamp(-half, half);
-                    return Self {
-                        s,
-                        speed: v + a * time,
-                    };
-                }
-            }
+            let meeting = first_meeting(s, v, a, half).filter(|(t, _)| *t < time);
+            let Some((t, side)) = meeting else {
+                let s = (s + (v + 0.5 * a * time) * time).clamp(-half, half);
+                return Self {
+                    s,
+                    speed: v + a * time,
+                };
+            };
+            self = Self {
+                s: side * half,
+                speed: 0.0,
+            };
+            time -= t;
         }
         self
     }

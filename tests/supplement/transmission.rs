@@ -44,8 +44,7 @@ fn a_spring_between_motor_and_joint() {
         .fold(0.0, f64::max);
     let travel = fine.iter().map(|[q, ..]| q.abs()).fold(0.0, f64::max);
     assert!(stretch > 0.003 && travel > 0.1, "{stretch} {travel}");
-    for k in 1..N {
-        let [q, motor, _] = fine[k];
+    for (k, [q, motor, _]) in fine.iter().enumerate().skip(1) {
         assert!(
             (simulated.q[k] - q).abs() < 0.01 * travel,
             "step {k}: {} {q}",

@@ -1,7 +1,7 @@
 //! What motors make of their commands.
 
 use super::joint::{PERIODS, gear};
-use super::place::{Site, joint_motors, motors};
+use super::place::{N_PRM, Site, joint_motors, motors};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Role, Shows, Sign,
 };
@@ -10,9 +10,9 @@ use crate::mujoco::{Model, ObjectKind};
 
 /// The greatest force of an actuator before its gear, if its control is limited.
 fn full_force(model: &Model, actuator: usize) -> Option<f64> {
-    const PRM: usize = 10;
     let range = &model.actuator_ctrlrange()[2 * actuator..2 * actuator + 2];
-    let force = model.actuator_gainprm()[PRM * actuator].abs() * range[0].abs().max(range[1].abs());
+    let force =
+        model.actuator_gainprm()[N_PRM * actuator].abs() * range[0].abs().max(range[1].abs());
     (model.actuator_ctrllimited()[actuator] != 0 && force > 0.0).then_some(force)
 }
 

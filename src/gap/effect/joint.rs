@@ -1,6 +1,6 @@
 //! Springs, offsets, rotors and stops of joints.
 
-use super::place::{Site, is_motor, joint_of, joints};
+use super::place::{N_PRM, Site, is_motor, joint_of, joints};
 use super::{About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows};
 use crate::mjcf::structure::Change;
 use crate::mujoco::{Model, ObjectKind};
@@ -13,65 +13,6 @@ pub(super) const PERIODS: &[f64] = &[
     100.0, 102.0, 104.0, 106.0, 108.0, 110.0, 112.0, 114.0, 116.0, 118.0, 120.0, 124.0, 128.0,
     132.0, 136.0, 140.0, 144.0, 148.0, 152.0, 156.0, 160.0,
 ];
-
-/// A spring on a joint.
-#[derive(Debug)]
-pub(super) struct Spring;
-
-impl Effect for Spring {
-    fn about(&self) -> &'static About {
-        const ABOUT: About = About {
-            name: "joint_spring",
-            law: "torque −k (q − q₀)",
-            shows: Shows::Force,
-            signature: "−k (q − q₀): proportional to the angle, at rest too",
-            parameters: &[
-                Parameter::amplitude("stiffness", Dimension::ForcePerTravel, [0.03, 3.0]),
-                Parameter::shape("rest", Dimension::Travel, &[0.0, 0.3, -0.3], [-1.0, 1.0])
-                    .signed(),
-            ],
-            neighbours: &[
-                Neighbour {
-                    name: "gravity_tilt",
-                    split: "postures over the whole range: gravity follows sines, and couples joints",
-                },
-                Neighbour {
-                    name: "torque_offset",
-                    split: "holds over the whole range",
-                },
-                Neighbour {
-                    name: "payload",
-                    split: "holds over the whole range, and fast motion",
-                },
-                Neighbour {
-                    name: "joint_coupling",
-                    split: "one joint alone, then the other",
-                },
-            ],
-            behaviours: &["postures"],
-        };
-        &ABOUT
-    }
-
-    fn places(&self, model: &Model) -> Vec<Place> {
-        let without = |place: &Place| {
-            let joint = model.id(ObjectKind::Joint, &place.name);
-            joint.is_ok_and(|j| model.jnt_stiffness()[j] == 0.0)
-        };
-        joints(model).into_iter().filter(without).collect()
-    }
-
-    fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
-        if site.model.jnt_stiffness()[site.id] != 0.0 {
-            return Err("the joint has a spring; estimate its stiffness and springref".to_owned());
-        }
-        let element = format!("joint/{}", site.place.name);
-        Ok(Expression::of(vec![
-            Number::is(element.clone(), "stiffness", 0),
-            Number::is(element, "springref", 0),
-        ]))
-    }
-}
 
 /// A constant torque.
 #[derive(Debug)]
@@ -122,8 +63,7 @@ impl Effect for TorqueOffset {
         else {
             return Ok(Expression::supplement("torque_offset", joint, values));
         };
-        const PRM: usize = 10;
-        let before = model.actuator_biasprm()[PRM * u];
+        let before = model.actuator_biasprm()[N_PRM * u];
         let attribute = |attribute, value: String| Change::Attribute {
             kind: "actuator",
             element: name.clone(),
@@ -236,139 +176,5 @@ impl Effect for Cogging {
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
         Ok(Expression::supplement("cogging", &site.place.name, values))
-    }
-}
-
-/// A spring between two joints of one mechanism.
-#[derive(Debug)]
-pub(super) struct Coupling;
-
-impl Effect for Coupling {
-    fn about(&self) -> &'static About {
-        const ABOUT: About = About {
-            name: "joint_coupling",
-            law: "torque −k (q − p) on a joint and +k (q − p) on another, at p",
-            shows: Shows::Force,
-            signature: "∓k (q − p): proportional to another joint's angle",
-            parameters: &[Parameter::amplitude(
-                "stiffness",
-                Dimension::ForcePerTravel,
-                [0.03, 3.0],
-            )],
-            neighbours: &[
-                Neighbour {
-                    name: "joint_spring",
-                    split: "one joint alone, then the other",
-                },
-                Neighbour {
-                    name: "gravity_tilt",
-                    split: "postures over the whole range",
-                },
-            ],
-            behaviours: &["postures", "multi_sine"],
-        };
-        &ABOUT
-    }
-
-    /// Pairs of driven joints of one mechanism; of all where none is driven.
-    fn places(&self, model: &Model) -> Vec<Place> {
-        let driven: Vec<String> = (0..model.nu()).filter_map(|u| joint_of(model, u)).collect();
-        let all: Vec<String> = joints(model).into_iter().map(|p| p.name).collect();
-        let some: Vec<&String> = all
-            .iter()
-            .filter(|j| driven.is_empty() || driven.contains(j))
-            .collect();
-        let root = |name: &str| {
-            let joint = model.id(ObjectKind::Joint, name).ok()?;
-            Some(model.body_rootid()[model.jnt_bodyid()[joint] as usize])
-        };
-        let mut places = Vec::new();
-        for (i, a) in some.iter().enumerate() {
-            for b in &some[i + 1..] {
-                if root(a) == root(b) {
-                    let mut place = Place::at(super::PlaceKind::Joint, a);
-                    place.with = Some((*b).clone());
-                    places.push(place);
-                }
-            }
-        }
-        places
-    }
-
-    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        let a = &site.place.name;
-        let b = site
-            .place
-            .with
-            .as_deref()
-            .ok_or("a coupling needs a second joint")?;
-        site.model
-            .id(ObjectKind::Joint, b)
-            .map_err(|e| e.to_string())?;
-        let name = format!("{a}_{b}_coupling");
-        let xml = format!(
-            "<fixed name=\"{name}\" stiffness=\"{}\"> <joint joint=\"{a}\" coef=\"1\"/> <joint joint=\"{b}\" coef=\"-1\"/> </fixed>",
-            values[0]
-        );
-        Ok(Expression {
-            changes: vec![Change::Element {
-                section: "tendon",
-                xml,
-            }],
-            numbers: vec![Number::is(format!("tendon/{name}"), "stiffness", 0)],
-            supplement: None,
-        })
-    }
-}
-
-/// A soft stop inside the range.
-#[derive(Debug)]
-pub(super) struct Stop;
-
-impl Effect for Stop {
-    fn about(&self) -> &'static About {
-        const ABOUT: About = About {
-            name: "joint_stop",
-            law: "torque −k (q − q₀) beyond q₀, on one side",
-            shows: Shows::Force,
-            signature: "−k max(0, ±(q − q₀)): one-sided, in one part of the range",
-            parameters: &[
-                Parameter::amplitude("stiffness", Dimension::ForcePerTravel, [1.0, 100.0]),
-                Parameter::shape(
-                    "at",
-                    Dimension::Travel,
-                    &[0.1, 0.0, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4, -0.4],
-                    [-1.0, 1.0],
-                )
-                .signed(),
-                Parameter::shape("side", Dimension::Share, &[1.0, -1.0], [-1.0, 1.0]).signed(),
-                Parameter::shape("damping", Dimension::ForcePerSpeed, &[0.0], [0.0, 10.0]),
-            ],
-            neighbours: &[
-                Neighbour {
-                    name: "joint_spring",
-                    split: "motion on both sides of the place",
-                },
-                Neighbour {
-                    name: "contact_stiffness",
-                    split: "the same angle in another posture of the other joints",
-                },
-            ],
-            behaviours: &["postures", "multi_sine"],
-        };
-        &ABOUT
-    }
-
-    fn places(&self, model: &Model) -> Vec<Place> {
-        joints(model)
-    }
-
-    /// A supplement: the engine's limit is a constraint, whose stiffness goes with the inertia, the same on both sides.
-    fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        Ok(Expression::supplement(
-            "joint_stop",
-            &site.place.name,
-            values,
-        ))
     }
 }

@@ -1,7 +1,7 @@
 //! The catalogue of effects that a model may lack.
 //!
 //! An [`Effect`] knows its law, its parameters, where on a model it can act, how a model file says it, and what it may be
-//! mistaken for. [`write`] puts one into a model file: by attributes and elements where `MuJoCo` 2.2.2 has them, else as a
+//! mistaken for. [`write()`] puts one into a model file: by attributes and elements where `MuJoCo` 2.2.2 has them, else as a
 //! [`crate::supplement`]. What comes back, [`Written`], is a model to simulate and identify, with one rule of
 //! [`crate::sysid`] a parameter.
 //!
@@ -14,12 +14,16 @@
 
 mod body;
 mod contact;
+mod drag;
 mod drive;
 mod friction;
+mod geometry;
 mod joint;
 mod parameter;
 mod place;
 mod sensing;
+mod spring;
+mod touch;
 mod transmission;
 mod write;
 
@@ -85,13 +89,13 @@ pub trait Effect: std::fmt::Debug + Sync {
 
 /// Every effect; a new one is a type in a file of this folder and a line here.
 pub const CATALOGUE: &[&dyn Effect] = &[
-    &friction::Viscous,
+    &drag::Viscous,
     &friction::Coulomb,
     &friction::Asymmetric,
     &friction::Stribeck,
     &friction::LoadDependent,
-    &friction::QuadraticDrag,
-    &joint::Spring,
+    &drag::QuadraticDrag,
+    &spring::Spring,
     &joint::TorqueOffset,
     &joint::RotorInertia,
     &body::LinkMass,
@@ -105,22 +109,22 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &joint::Cogging,
     &transmission::Backlash,
     &transmission::Compliance,
-    &joint::Coupling,
-    &joint::Stop,
+    &spring::Coupling,
+    &spring::Stop,
     &sensing::EncoderOffset,
     &sensing::EncoderScale,
     &sensing::SensorDelay,
     &sensing::ForceSensorBias,
-    &body::BasePose,
+    &geometry::BasePose,
     &body::ObjectMass,
     &contact::ContactFriction,
     &contact::TorsionalFriction,
     &contact::FrictionCone,
-    &contact::ContactStiffness,
-    &contact::ContactDamping,
+    &touch::ContactStiffness,
+    &touch::ContactDamping,
     &contact::AnisotropicFriction,
-    &contact::FingertipRadius,
-    &body::LengthScale,
+    &touch::FingertipRadius,
+    &geometry::LengthScale,
 ];
 
 /// The effect of a name.

@@ -16,6 +16,8 @@ pub enum Role {
     Companion,
     /// says nothing at amplitude 0; to be tried on a grid, in multiples of the scale, the first one first
     Shape(&'static [f64]),
+    /// a shape that is not estimated, only chosen from a grid
+    Choice(&'static [f64]),
     /// an amplitude that does nothing until it is large; to be tried on a grid like a shape
     Threshold(&'static [f64]),
     /// there (1) or not (0)
@@ -125,6 +127,16 @@ impl Parameter {
         Self::new(name, dimension, Role::Shape(grid), range)
     }
 
+    /// A shape that stays as chosen.
+    pub(super) const fn choice(
+        name: &'static str,
+        dimension: Dimension,
+        grid: &'static [f64],
+        range: [f64; 2],
+    ) -> Self {
+        Self::new(name, dimension, Role::Choice(grid), range)
+    }
+
     /// The same with either sign.
     pub(super) const fn signed(mut self) -> Self {
         self.sign = Sign::Either;
@@ -183,7 +195,7 @@ impl Parameter {
     /// A size to test for: the geometric mean of the range; of a shape the first of its grid.
     pub fn typical(&self, scales: &Scales) -> f64 {
         let multiple = match self.role {
-            Role::Shape(grid) | Role::Threshold(grid) => grid[0],
+            Role::Shape(grid) | Role::Choice(grid) | Role::Threshold(grid) => grid[0],
             Role::Switch => 1.0,
             Role::Amplitude | Role::Companion => (self.low * self.high).sqrt(),
         };
@@ -193,7 +205,7 @@ impl Parameter {
     /// The values of its grid; empty if it has none.
     pub fn grid(&self, scales: &Scales) -> Vec<f64> {
         match self.role {
-            Role::Shape(grid) | Role::Threshold(grid) => {
+            Role::Shape(grid) | Role::Choice(grid) | Role::Threshold(grid) => {
                 grid.iter().map(|x| x * self.scale(scales)).collect()
             }
             _ => Vec::new(),

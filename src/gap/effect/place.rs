@@ -4,6 +4,9 @@ use std::fmt;
 
 use crate::mujoco::{Measures, Model, ObjectKind};
 
+/// Numbers a row of `actuator_gainprm` and `actuator_biasprm`.
+pub(super) const N_PRM: usize = 10;
+
 /// What a place is a name of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PlaceKind {
@@ -197,8 +200,7 @@ pub(super) fn joint_motors(model: &Model) -> Vec<Place> {
 
 /// Whether an actuator has a fixed gain, no activation and a bias that is constant at most.
 pub(super) fn is_motor(model: &Model, actuator: usize) -> bool {
-    const PRM: usize = 10; // numbers a row of `actuator_biasprm`
-    let bias = &model.actuator_biasprm()[PRM * actuator..PRM * actuator + 3];
+    let bias = &model.actuator_biasprm()[N_PRM * actuator..N_PRM * actuator + 3];
     // `mjGAIN_FIXED`, `mjDYN_NONE`, `mjBIAS_AFFINE` of the engine's model format
     let constant = match model.actuator_biastype()[actuator] {
         0 => true,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use super::{Effect, Parameter, Place, Sign, Site};
+use super::{Effect, Parameter, Place, Role, Sign, Site};
 use crate::mjcf::attribute::{self, Target};
 use crate::mjcf::structure::{self, Change};
 use crate::mjcf::{MjcfError, edit, file};
@@ -176,7 +176,8 @@ pub enum Form {
 pub struct Estimated {
     /// index among the effect's parameters
     pub parameter: usize,
-    /// of the model's number; starts at its value in the written model
+    /// of the model's number; starts at its value in the written model, and is held where it is a choice or starts at 0
+    /// and cannot be negative
     pub rule: ParameterRule,
     /// value of the parameter there
     pub value: f64,
@@ -287,12 +288,17 @@ pub fn write(
         .iter()
         .map(|(i, target, _, slope)| {
             let start = target.value(&file.model);
-            let rule = rule(&about.parameters[*i], target, start, values[*i], *slope);
+            // a factor on what the file has now, which is `1 + value` times what it had
+            let slope = match target.place {
+                attribute::Place::Geometry(_) => slope / (1.0 + values[*i]),
+                _ => *slope,
+            };
+            let rule = rule(&about.parameters[*i], target, start, values[*i], slope);
             Estimated {
                 parameter: *i,
                 rule,
                 value: values[*i],
-                slope: *slope,
+                slope,
             }
         })
         .collect();
@@ -371,7 +377,10 @@ fn rule(
     }
     rule.scale = Some(Scale::Linear);
     rule.start = Some(start);
+    rule.frozen = matches!(parameter.role, Role::Choice(_));
     if parameter.sign == Sign::Positive {
+        // at 0 it cannot move both ways, which the estimator asks for
+        rule.frozen |= value == 0.0;
         // the number at which the parameter is 0
         let bound = start - value * slope;
         if slope > 0.0 {
