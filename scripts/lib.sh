@@ -77,15 +77,17 @@ set_up() {
     command -v cc >/dev/null || packages+=(gcc libc6-dev)
     [[ -n ${MUJOCO_DIR:-} ]] || packages+=(libmujoco-dev)
     [[ -n ${LIBCLANG_PATH:-} ]] || packages+=(libclang-dev)
+    [[ ${PHANTOM_FEATURES:-} != *mpi* ]] || command -v mpicc >/dev/null || packages+=(libopenmpi-dev openmpi-bin)
     ((${#packages[@]} == 0)) || install_packages "${packages[@]}"
 }
 
-# Builds the program; cargo knows whether there is anything to do.
+# Builds the program, with PHANTOM_FEATURES if set; cargo knows whether there is anything to do.
 build_release() {
-    local quiet=(--quiet)
+    local quiet=(--quiet) features=()
+    [[ -z ${PHANTOM_FEATURES:-} ]] || features=(--features "$PHANTOM_FEATURES")
     if [[ ! -x $CARGO_TARGET_DIR/release/phantom ]]; then
         say "building phantom, which takes a minute or two the first time"
         quiet=()
     fi
-    (cd "$PHANTOM_ROOT" && cargo build --release --locked "${quiet[@]}" --bin phantom) >&2
+    (cd "$PHANTOM_ROOT" && cargo build --release --locked "${quiet[@]}" "${features[@]}" --bin phantom) >&2
 }

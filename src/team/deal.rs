@@ -1,7 +1,7 @@
 use super::{Team, TeamError};
 
 /// Trajectories a lane has at least, where there are enough: fewer make smaller matrix products and more branches.
-const PER_LANE: usize = 4;
+const PER_LANE: usize = 8;
 /// Lanes there are at least.
 const MIN_LANES: usize = 8;
 

@@ -122,6 +122,8 @@ impl<T: Serialize + DeserializeOwned + Send> Message for T {}
 /// What a process has exchanged with others so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Traffic {
+    /// messages sent and received
+    pub messages: u64,
     /// bytes sent and received, a broadcast counted once at each process
     pub bytes: u64,
     /// time of it, waiting for others included
@@ -132,6 +134,7 @@ pub struct Traffic {
 #[derive(Default)]
 pub struct Team {
     communicator: Option<Box<dyn Communicator>>, // none: alone
+    messages: AtomicU64,
     bytes: AtomicU64,
     nanoseconds: AtomicU64,
 }
@@ -141,6 +144,7 @@ impl Team {
     pub const fn alone() -> Self {
         Self {
             communicator: None,
+            messages: AtomicU64::new(0),
             bytes: AtomicU64::new(0),
             nanoseconds: AtomicU64::new(0),
         }
@@ -172,6 +176,7 @@ impl Team {
     /// What this process has exchanged so far.
     pub fn traffic(&self) -> Traffic {
         Traffic {
+            messages: self.messages.load(Ordering::Relaxed),
             bytes: self.bytes.load(Ordering::Relaxed),
             time: Duration::from_nanos(self.nanoseconds.load(Ordering::Relaxed)),
         }
@@ -319,6 +324,7 @@ impl Team {
     }
 
     fn count(&self, message: &[u8]) {
+        self.messages.fetch_add(1, Ordering::Relaxed);
         self.bytes
             .fetch_add(message.len() as u64, Ordering::Relaxed);
     }
