@@ -120,7 +120,8 @@ impl Rows<'_> {
         while used < n && pool(0..used).dof < LEAST {
             used += 1;
         }
-        while 2 * used <= n {
+        // of a direction without information there is no spectrum
+        while used > 0 && 2 * used <= n {
             let (low, next) = (pool(0..used), pool(used..2 * used));
             let falls = next.factor * f_quantile(1.0 - LOWER, low.dof, next.dof) < low.factor;
             let rises = next.factor > low.factor * f_quantile(1.0 - HIGHER, next.dof, low.dof);
