@@ -34,9 +34,11 @@ const NO_GAIN: f64 = 0.05;
 const WORTH: f64 = 2.0;
 /// Steps at a level, and at the last.
 const STEPS: usize = 4;
-const LAST_STEPS: usize = 8;
+const LAST_STEPS: usize = 10;
 /// Steps whose targets are averaged.
-const AVERAGED: usize = 4;
+const AVERAGED: usize = 6;
+/// How often steps are taken once more where a finer noise loses the motion.
+const SETTLING: usize = 3;
 
 /// The trials with what is known of where they begin.
 pub(super) struct Likelihood<'a> {
@@ -154,7 +156,8 @@ impl Likelihood<'_> {
             let worse = |p: &Pass| best.as_ref().is_some_and(|(_, b)| p.nll > b.nll + ROUGH * b.n as f64);
             let lost = |p: &Pass| best.is_none() && p.nll > below;
             let Some(pass) = pass.filter(|p| !worse(p) && !lost(p)) else {
-                let Some((at, pass)) = &best else { return Ok(None) };
+                // where finer is tried, a step that does not do what it promised is a sign of it, too
+                let Some((at, pass)) = best.as_ref().filter(|_| below.is_infinite()) else { return Ok(None) };
                 damping = if damping == 0.0 { 1.0 } else { 10.0 * damping };
                 x = sum(at, &self.step(at, pass, damping));
                 continue;
@@ -179,7 +182,6 @@ impl Likelihood<'_> {
         let last = &targets[targets.len().saturating_sub(AVERAGED)..];
         let x = match status {
             Status::Interrupted => at,
-            Status::Converged => last[last.len() - 1].clone(),
             _ => (0..from.len()).map(|i| last.iter().map(|t| t[i]).sum::<f64>() / last.len() as f64).collect(),
         };
         Ok(Some(Found { x, level, noise, nll: pass.nll, status }))
@@ -216,11 +218,23 @@ impl Likelihood<'_> {
             }
         }
         let Some(mut best) = best else { return Ok(None) };
+        let mut settled = 0;
         while noise > finest {
-            noise *= FINER;
-            let found = self.climb(&best.x, best.level, noise, (STEPS, best.nll), watch)?;
-            let Some(found) = found.filter(|f| f.nll < best.nll - WORTH) else { break };
-            best = found;
+            let found = self.climb(&best.x, best.level, noise * FINER, (STEPS, best.nll), watch)?;
+            match found.filter(|f| f.nll < best.nll - WORTH) {
+                Some(found) => {
+                    best = found;
+                    noise *= FINER;
+                    settled = 0;
+                }
+                // perhaps it was not near enough yet
+                None if settled < SETTLING => {
+                    let found = self.climb(&best.x, best.level, noise, (LAST_STEPS, f64::INFINITY), watch)?;
+                    best = found.unwrap_or(best);
+                    settled += 1;
+                }
+                None => break,
+            }
             if best.status == Status::Interrupted {
                 return Ok(Some(best));
             }
