@@ -34,9 +34,9 @@ const NO_GAIN: f64 = 0.05;
 const WORTH: f64 = 2.0;
 /// Steps at a level, and at the last.
 const STEPS: usize = 4;
-const LAST_STEPS: usize = 10;
+const LAST_STEPS: usize = 16;
 /// Steps whose targets are averaged.
-const AVERAGED: usize = 6;
+const AVERAGED: usize = 12;
 /// How often steps are taken once more where a finer noise loses the motion.
 const SETTLING: usize = 3;
 
@@ -150,6 +150,7 @@ impl Likelihood<'_> {
         let mut damping = 0.0;
         let mut best: Option<(Vec<f64>, Pass)> = None;
         let mut targets: Vec<Vec<f64>> = Vec::new();
+        let (mut rough, mut before) = (false, f64::INFINITY);
         let mut status = Status::MaxIterations;
         for _ in 0..limit {
             let pass = self.pass(&x, level, noise)?;
@@ -165,6 +166,8 @@ impl Likelihood<'_> {
             let dx = self.step(&x, &pass, 0.0);
             let gain: f64 = pass.right.iter().zip(&dx).map(|(b, d)| 0.5 * b * d).sum();
             targets.push(sum(&x, &dx));
+            rough |= pass.nll > before + NO_GAIN;
+            before = pass.nll;
             let step = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
             let go_on = watch(&Iteration { level, cost: pass.nll, damping, step, x: x.clone() });
             let next = targets[targets.len() - 1].clone();
@@ -173,7 +176,7 @@ impl Likelihood<'_> {
             }
             damping = 0.0;
             x = next;
-            if !go_on || gain < NO_GAIN {
+            if !go_on || (gain < NO_GAIN && !rough) {
                 status = if go_on { Status::Converged } else { Status::Interrupted };
                 break;
             }
