@@ -167,7 +167,13 @@ impl Inverse {
     ///
     /// # Errors
     /// Numbers that are not finite.
-    pub fn predict(&mut self, qpos: &[f64], qvel: &[f64], guess: &[f64], out: &mut [f64]) -> Result<bool> {
+    pub fn predict(
+        &mut self,
+        qpos: &[f64],
+        qvel: &[f64],
+        guess: &[f64],
+        out: &mut [f64],
+    ) -> Result<bool> {
         let data = &mut self.data;
         data.qpos_mut().copy_from_slice(qpos);
         data.qvel_mut().copy_from_slice(qvel);

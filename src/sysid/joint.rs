@@ -104,13 +104,27 @@ pub fn solve(
         Tracking::Never => false,
     };
     let tracked = if track {
-        tracked(problem, settings, &start.x, &trajectories, &scale, &mut watch)?
+        tracked(
+            problem,
+            settings,
+            &start.x,
+            &trajectories,
+            &scale,
+            &mut watch,
+        )?
     } else {
         None
     };
     let mut fit = match tracked {
         Some(fit) => fit,
-        None => descended(problem, settings, &start.x, trajectories, &scale, &mut watch)?,
+        None => descended(
+            problem,
+            settings,
+            &start.x,
+            trajectories,
+            &scale,
+            &mut watch,
+        )?,
     };
     fit.history = history;
     Ok(fit)
@@ -131,7 +145,11 @@ fn descended(
         let last = i + 1 == settings.levels.len();
         solver.force_sigma = problem.force_sigma_at(level, scale);
         let early = !last && (!settings.by_evidence || level > COARSE);
-        let (limit, tolerance) = if early { (6, 1e-2) } else { (settings.max_iterations, settings.tolerance) };
+        let (limit, tolerance) = if early {
+            (6, 1e-2)
+        } else {
+            (settings.max_iterations, settings.tolerance)
+        };
         if early || i == 0 {
             // the motion first finds its contacts with the parameters as they are
             solver.hold = true;
@@ -143,7 +161,9 @@ fn descended(
             continue;
         }
         let fit = solver.conclude(level, status)?;
-        let evidence = best.as_ref().map_or(f64::INFINITY, |b| b.negative_log_evidence);
+        let evidence = best
+            .as_ref()
+            .map_or(f64::INFINITY, |b| b.negative_log_evidence);
         let stop = settings.by_evidence && fit.negative_log_evidence > evidence + WORSE;
         if best.is_none() || !settings.by_evidence || fit.negative_log_evidence < evidence {
             best = Some(fit);
@@ -154,7 +174,10 @@ fn descended(
     }
     match best {
         Some(fit) => Ok(fit),
-        None => solver.conclude(settings.levels[settings.levels.len() - 1], Status::MaxIterations),
+        None => solver.conclude(
+            settings.levels[settings.levels.len() - 1],
+            Status::MaxIterations,
+        ),
     }
 }
 
@@ -170,25 +193,40 @@ fn tracked(
     let beliefs = (problem.trials.iter().zip(trajectories))
         .map(|(trial, qpos)| start::belief(problem, trial, x, qpos))
         .collect::<Result<Vec<_>, _>>()?;
-    let likelihood = Likelihood { problem, force_scale: scale, beliefs: &beliefs, stride: 1 };
+    let likelihood = Likelihood {
+        problem,
+        force_scale: scale,
+        beliefs: &beliefs,
+        stride: 1,
+    };
     let Some(found) = likelihood.search(x, &settings.levels, settings.by_evidence, watch)? else {
         return Ok(None);
     };
     let Some(followed) = likelihood.follow(&found.x, found.level, found.noise, true)? else {
         return Ok(None);
     };
-    let mut innovations = Innovations { n_parameters: x.len(), ..Innovations::default() };
+    let mut innovations = Innovations {
+        n_parameters: x.len(),
+        ..Innovations::default()
+    };
     let (mut motion, mut nll) = (Vec::new(), 0.0);
     for (trial, f) in followed.into_iter().enumerate() {
         innovations.rows.extend(f.innovations);
-        innovations.places.extend(f.knots.iter().map(|&k| (trial, k)));
+        innovations
+            .places
+            .extend(f.knots.iter().map(|&k| (trial, k)));
         motion.push(f.qpos);
         nll += f.nll;
     }
     let mut solver = Solver::new(problem, found.x, motion);
     solver.force_sigma = problem.force_sigma_at(found.level, scale);
     let linear = solver.conclude(found.level, found.status)?;
-    Ok(Some(Fit { cost: nll, negative_log_evidence: nll, innovations, ..linear }))
+    Ok(Some(Fit {
+        cost: nll,
+        negative_log_evidence: nll,
+        innovations,
+        ..linear
+    }))
 }
 
 /// Size of the forces at each degree of freedom, N m or N.

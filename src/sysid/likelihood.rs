@@ -74,7 +74,9 @@ impl Likelihood<'_> {
     /// Standard deviations of channels at least `noise` times their range.
     pub(super) fn channel_sigma(&self, noise: f64) -> Vec<f64> {
         let ranges = self.problem.channel_ranges();
-        (self.problem.channels.iter().zip(ranges)).map(|(c, range)| c.sigma.max(noise * range)).collect()
+        (self.problem.channels.iter().zip(ranges))
+            .map(|(c, range)| c.sigma.max(noise * range))
+            .collect()
     }
 
     /// Every trial followed, from `x`; `None` if one is lost.
@@ -88,7 +90,12 @@ impl Likelihood<'_> {
         let force_sigma = self.problem.force_sigma_at(level, self.force_scale);
         let channel_sigma = self.channel_sigma(noise);
         let stride = if smooth { 1 } else { self.stride };
-        let following = Following { force_sigma: &force_sigma, channel_sigma: &channel_sigma, stride, smooth };
+        let following = Following {
+            force_sigma: &force_sigma,
+            channel_sigma: &channel_sigma,
+            stride,
+            smooth,
+        };
         let all: Vec<Result<Option<Followed>, SysidError>> = (self.beliefs.par_iter().enumerate())
             .map(|(trial, belief)| follow(self.problem, trial, x, belief, following))
             .collect();
@@ -100,7 +107,12 @@ impl Likelihood<'_> {
             return Ok(None);
         };
         let np = x.len();
-        let mut pass = Pass { nll: 0.0, n: 0, normal: DMatrix::zeros(np, np), right: DVector::zeros(np) };
+        let mut pass = Pass {
+            nll: 0.0,
+            n: 0,
+            normal: DMatrix::zeros(np, np),
+            right: DVector::zeros(np),
+        };
         for f in &followed {
             pass.nll += f.nll;
             pass.n += f.knots.len();
@@ -154,11 +166,16 @@ impl Likelihood<'_> {
         let mut status = Status::MaxIterations;
         for _ in 0..limit {
             let pass = self.pass(&x, level, noise)?;
-            let worse = |p: &Pass| best.as_ref().is_some_and(|(_, b)| p.nll > b.nll + ROUGH * b.n as f64);
+            let worse = |p: &Pass| {
+                best.as_ref()
+                    .is_some_and(|(_, b)| p.nll > b.nll + ROUGH * b.n as f64)
+            };
             let lost = |p: &Pass| best.is_none() && p.nll > below;
             let Some(pass) = pass.filter(|p| !worse(p) && !lost(p)) else {
                 // where finer is tried, a step that does not do what it promised is a sign of it, too
-                let Some((at, pass)) = best.as_ref().filter(|_| below.is_infinite()) else { return Ok(None) };
+                let Some((at, pass)) = best.as_ref().filter(|_| below.is_infinite()) else {
+                    return Ok(None);
+                };
                 damping = if damping == 0.0 { 1.0 } else { 10.0 * damping };
                 x = sum(at, &self.step(at, pass, damping));
                 continue;
@@ -169,7 +186,13 @@ impl Likelihood<'_> {
             rough |= pass.nll > before + NO_GAIN;
             before = pass.nll;
             let step = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
-            let go_on = watch(&Iteration { level, cost: pass.nll, damping, step, x: x.clone() });
+            let go_on = watch(&Iteration {
+                level,
+                cost: pass.nll,
+                damping,
+                step,
+                x: x.clone(),
+            });
             let next = targets[targets.len() - 1].clone();
             if best.as_ref().is_none_or(|(_, b)| pass.nll < b.nll) {
                 best = Some((x, pass));
@@ -177,17 +200,31 @@ impl Likelihood<'_> {
             damping = 0.0;
             x = next;
             if !go_on || (gain < NO_GAIN && !rough) {
-                status = if go_on { Status::Converged } else { Status::Interrupted };
+                status = if go_on {
+                    Status::Converged
+                } else {
+                    Status::Interrupted
+                };
                 break;
             }
         }
-        let Some((at, pass)) = best else { return Ok(None) };
+        let Some((at, pass)) = best else {
+            return Ok(None);
+        };
         let last = &targets[targets.len().saturating_sub(AVERAGED)..];
         let x = match status {
             Status::Interrupted => at,
-            _ => (0..from.len()).map(|i| last.iter().map(|t| t[i]).sum::<f64>() / last.len() as f64).collect(),
+            _ => (0..from.len())
+                .map(|i| last.iter().map(|t| t[i]).sum::<f64>() / last.len() as f64)
+                .collect(),
         };
-        Ok(Some(Found { x, level, noise, nll: pass.nll, status }))
+        Ok(Some(Found {
+            x,
+            level,
+            noise,
+            nll: pass.nll,
+            status,
+        }))
     }
 
     /// Searches from `x` down the `levels`, as long as the likelihood grows.
@@ -202,16 +239,24 @@ impl Likelihood<'_> {
         if !by_evidence {
             return self.climb(x, last, self.finest(), (LAST_STEPS, f64::INFINITY), watch);
         }
-        let levels: Vec<f64> = levels.iter().copied().filter(|l| *l <= FIRST_LEVEL.max(last)).collect();
+        let levels: Vec<f64> = levels
+            .iter()
+            .copied()
+            .filter(|l| *l <= FIRST_LEVEL.max(last))
+            .collect();
         let finest = self.finest();
         let mut best: Option<Found> = None;
         let mut at = x.to_vec();
         let mut noise = FIRST_NOISE;
         let mut lower = levels.iter().copied().peekable();
-        let better = |new: &Found, best: &Option<Found>| best.as_ref().is_none_or(|b| new.nll < b.nll - WORTH);
+        let better = |new: &Found, best: &Option<Found>| {
+            best.as_ref().is_none_or(|b| new.nll < b.nll - WORTH)
+        };
         // down to where signals may be taken as fine as they are
         while let Some(level) = lower.next_if(|l| *l >= BEFORE_FINER * 0.999) {
-            let Some(found) = self.climb(&at, level, noise, (STEPS, f64::INFINITY), watch)? else { continue };
+            let Some(found) = self.climb(&at, level, noise, (STEPS, f64::INFINITY), watch)? else {
+                continue;
+            };
             at.clone_from(&found.x);
             if found.status == Status::Interrupted {
                 return Ok(Some(found));
@@ -220,7 +265,9 @@ impl Likelihood<'_> {
                 best = Some(found);
             }
         }
-        let Some(mut best) = best else { return Ok(None) };
+        let Some(mut best) = best else {
+            return Ok(None);
+        };
         let mut settled = 0;
         while noise > finest {
             let found = self.climb(&best.x, best.level, noise * FINER, (STEPS, best.nll), watch)?;
@@ -232,7 +279,13 @@ impl Likelihood<'_> {
                 }
                 // perhaps it was not near enough yet
                 None if settled < SETTLING => {
-                    let found = self.climb(&best.x, best.level, noise, (LAST_STEPS, f64::INFINITY), watch)?;
+                    let found = self.climb(
+                        &best.x,
+                        best.level,
+                        noise,
+                        (LAST_STEPS, f64::INFINITY),
+                        watch,
+                    )?;
                     best = found.unwrap_or(best);
                     settled += 1;
                 }
@@ -244,20 +297,34 @@ impl Likelihood<'_> {
         }
         for level in lower {
             let found = self.climb(&best.x, level, best.noise, (STEPS, best.nll), watch)?;
-            let Some(found) = found.filter(|f| f.nll < best.nll - WORTH) else { break };
+            let Some(found) = found.filter(|f| f.nll < best.nll - WORTH) else {
+                break;
+            };
             best = found;
             if best.status == Status::Interrupted {
                 return Ok(Some(best));
             }
         }
-        let last = self.climb(&best.x, best.level, best.noise, (LAST_STEPS, f64::INFINITY), watch)?;
+        let last = self.climb(
+            &best.x,
+            best.level,
+            best.noise,
+            (LAST_STEPS, f64::INFINITY),
+            watch,
+        )?;
         Ok(Some(last.unwrap_or(best)))
     }
 
     /// Part of the range that the finest signal's own noise is.
     fn finest(&self) -> f64 {
         let ranges = self.problem.channel_ranges();
-        let parts = self.problem.channels.iter().zip(ranges).filter(|(_, r)| *r > 0.0).map(|(c, r)| c.sigma / r);
+        let parts = self
+            .problem
+            .channels
+            .iter()
+            .zip(ranges)
+            .filter(|(_, r)| *r > 0.0)
+            .map(|(c, r)| c.sigma / r);
         parts.fold(f64::INFINITY, f64::min)
     }
 }

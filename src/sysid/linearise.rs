@@ -90,7 +90,12 @@ impl Point<'_> {
             .zip(rows.par_chunks_mut(size * rows_per_knot * width))
             .zip(mass.par_chunks_mut(size * nv * nv))
             .try_for_each(|((part, rows), mass)| self.part(part, &controls, rows, mass, width))?;
-        Ok(Blocks { rows_per_knot, width, rows, mass })
+        Ok(Blocks {
+            rows_per_knot,
+            width,
+            rows,
+            mass,
+        })
     }
 
     fn part(
@@ -117,8 +122,10 @@ impl Point<'_> {
             kinematics.push(at);
         }
         self.parameter_columns(&mut inverse, part.clone(), &kinematics, rows, width)?;
-        for (((k, rows), mass), at) in
-            part.zip(rows.chunks_exact_mut(per_knot)).zip(mass.chunks_exact_mut(nv * nv)).zip(&kinematics)
+        for (((k, rows), mass), at) in part
+            .zip(rows.chunks_exact_mut(per_knot))
+            .zip(mass.chunks_exact_mut(nv * nv))
+            .zip(&kinematics)
         {
             if !self.is_end(k) {
                 at_prediction(rows, mass, at, width);
@@ -208,7 +215,11 @@ impl Point<'_> {
             x[j] += step;
             let controls = self.problem.controls(self.trial, &x);
             inverse.set_parameters(&self.problem.parameters, &self.problem.model, &x)?;
-            for ((k, rows), at) in part.clone().zip(rows.chunks_exact_mut(per_knot)).zip(kinematics) {
+            for ((k, rows), at) in part
+                .clone()
+                .zip(rows.chunks_exact_mut(per_knot))
+                .zip(kinematics)
+            {
                 inverse.set_ctrl(&controls[k * nu..(k + 1) * nu]);
                 inverse.evaluate(self.knot(k), &at.before, &at.predicted, Changed::Position)?;
                 self.read_all(inverse, &mut moved);
@@ -230,10 +241,16 @@ impl Point<'_> {
         let n = rows.len() / width;
         let turning = rotations(model);
         let block = |b: usize| -> Vec<f64> {
-            rows.chunks_exact(width).flat_map(|row| row[b * nv..(b + 1) * nv].to_vec()).collect()
+            rows.chunks_exact(width)
+                .flat_map(|row| row[b * nv..(b + 1) * nv].to_vec())
+                .collect()
         };
         let (by_a, by_q, by_v) = (block(0), block(1), block(2));
-        let through_v: Vec<f64> = by_v.iter().zip(&by_a).map(|(v, a)| (v - a / h) / h).collect();
+        let through_v: Vec<f64> = by_v
+            .iter()
+            .zip(&by_a)
+            .map(|(v, a)| (v - a / h) / h)
+            .collect();
         let through_a: Vec<f64> = by_a.iter().map(|a| a / (h * h)).collect();
         let times = |a: &[f64], qvel: &[f64], h: f64| {
             let mut a = a.to_vec();
@@ -265,9 +282,16 @@ impl Point<'_> {
 fn at_prediction(rows: &mut [f64], mass: &mut [f64], at: &Kinematics, width: usize) {
     let nv = at.before.len();
     let (forces, sensors) = rows.split_at_mut(nv * width);
-    for (mass, row) in mass.chunks_exact_mut(nv).zip(forces.chunks_exact_mut(width)) {
+    for (mass, row) in mass
+        .chunks_exact_mut(nv)
+        .zip(forces.chunks_exact_mut(width))
+    {
         mass.copy_from_slice(&row[..nv]);
-        let defect = at.acceleration.iter().zip(&at.predicted).map(|(a, p)| a - p);
+        let defect = at
+            .acceleration
+            .iter()
+            .zip(&at.predicted)
+            .map(|(a, p)| a - p);
         row[width - 1] += mass.iter().zip(defect).map(|(m, d)| m * d).sum::<f64>();
     }
     let mut solved = None;
@@ -277,7 +301,8 @@ fn at_prediction(rows: &mut [f64], mass: &mut [f64], at: &Kinematics, width: usi
             continue;
         }
         row[..nv].fill(0.0);
-        let transposed = solved.get_or_insert_with(|| DMatrix::from_column_slice(nv, nv, mass).lu());
+        let transposed =
+            solved.get_or_insert_with(|| DMatrix::from_column_slice(nv, nv, mass).lu());
         if let Some(y) = transposed.solve(&by_a) {
             for (force, y) in forces.chunks_exact(width).zip(y.iter()) {
                 for (s, f) in row[nv..width - 1].iter_mut().zip(&force[nv..width - 1]) {

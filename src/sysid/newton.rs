@@ -116,19 +116,31 @@ impl<'a> Solver<'a> {
     }
 
     /// Cost of a trial step; missing forces by the A of the present linearisation.
-    fn cost(&self, x: &[f64], trajectories: &[Vec<f64>], linear: &[Blocks]) -> Result<f64, SysidError> {
+    fn cost(
+        &self,
+        x: &[f64],
+        trajectories: &[Vec<f64>],
+        linear: &[Blocks],
+    ) -> Result<f64, SysidError> {
         let nv = self.problem.model.nv();
         let n_channels = self.problem.channels.len();
         let free = self.problem.free_values(x);
         let mut force = vec![0.0; nv];
         let mut sum = self.prior_cost(x);
         for (i, qpos) in trajectories.iter().enumerate() {
-            let Some(Evaluated { defect, sensors, .. }) = self.point(i, qpos, x).evaluate(false)? else {
+            let Some(Evaluated {
+                defect, sensors, ..
+            }) = self.point(i, qpos, x).evaluate(false)?
+            else {
                 return Ok(f64::INFINITY);
             };
             for (k, defect) in defect.chunks_exact(nv).enumerate() {
                 linear[i].force(k, defect, &mut force);
-                for ((f, sigma), norm) in force.iter().zip(&self.force_sigma).zip(&self.problem.force_norm) {
+                for ((f, sigma), norm) in force
+                    .iter()
+                    .zip(&self.force_sigma)
+                    .zip(&self.problem.force_norm)
+                {
                     sum += norm.cost(f / sigma);
                 }
             }
@@ -155,8 +167,9 @@ impl<'a> Solver<'a> {
 
     /// All trajectories eliminated, and their cost.
     fn eliminate_all(&self, linear: &[Blocks], damping: f64) -> (Vec<Arrow>, f64) {
-        let (arrows, costs): (Vec<_>, Vec<f64>) =
-            (linear.par_iter().enumerate()).map(|(i, blocks)| self.eliminate(i, blocks, damping)).unzip();
+        let (arrows, costs): (Vec<_>, Vec<f64>) = (linear.par_iter().enumerate())
+            .map(|(i, blocks)| self.eliminate(i, blocks, damping))
+            .unzip();
         (arrows, costs.iter().sum::<f64>() + self.prior_cost(&self.x))
     }
 
@@ -185,7 +198,9 @@ impl<'a> Solver<'a> {
             }
         }
         let reach = self.problem.parameters.reach(&self.x);
-        let (low, high): (Vec<f64>, Vec<f64>) = reach.map(|(l, h)| if self.hold { (0.0, 0.0) } else { (l, h) }).unzip();
+        let (low, high): (Vec<f64>, Vec<f64>) = reach
+            .map(|(l, h)| if self.hold { (0.0, 0.0) } else { (l, h) })
+            .unzip();
         let dx = solve_in_box(&normal, &right, &low, &high);
         (arrows, dx, cost)
     }
@@ -249,14 +264,20 @@ impl<'a> Solver<'a> {
             .map(|k| {
                 let block = DMatrix::from_fn(nv, nv, |i, j| linear.row(k, i)[2 * nv + j]);
                 let u = block.lu().u();
-                u.diagonal().iter().map(|d| d.abs().max(f64::MIN_POSITIVE).ln()).sum::<f64>() - whitening
+                u.diagonal()
+                    .iter()
+                    .map(|d| d.abs().max(f64::MIN_POSITIVE).ln())
+                    .sum::<f64>()
+                    - whitening
             })
             .collect::<Vec<f64>>()
             .iter()
             .sum();
         let samples = &self.problem.trials[trial].samples;
         let placed = self.placed(trial, &self.x);
-        let sensors = placed.iter().map(|p| self.problem.channels[samples[p.sample].channel].sigma.ln());
+        let sensors = placed
+            .iter()
+            .map(|p| self.problem.channels[samples[p.sample].channel].sigma.ln());
         forces - sensors.sum::<f64>()
     }
 }

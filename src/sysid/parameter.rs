@@ -269,7 +269,11 @@ impl Parameters {
     pub(super) fn reach(&self, x: &[f64]) -> impl Iterator<Item = (f64, f64)> {
         self.iter_free().zip(x).map(|(p, x)| {
             let (lower, upper) = p.bounds();
-            let most = if p.scale == Scale::Log { LOG_STEP } else { f64::INFINITY };
+            let most = if p.scale == Scale::Log {
+                LOG_STEP
+            } else {
+                f64::INFINITY
+            };
             ((lower - x).max(-most), (upper - x).min(most))
         })
     }

@@ -50,14 +50,22 @@ pub(super) struct Kinematics {
 impl Kinematics {
     pub(super) fn new(nv: usize) -> Self {
         let [before, after, acceleration, predicted] = [(); 4].map(|()| vec![0.0; nv]);
-        Self { before, after, acceleration, predicted }
+        Self {
+            before,
+            after,
+            acceleration,
+            predicted,
+        }
     }
 }
 
 impl Point<'_> {
     /// A workspace at the parameters.
     pub(super) fn inverse(&self) -> Result<Inverse, SysidError> {
-        let mut inverse = Inverse::new(Arc::clone(&self.problem.model), !self.problem.channels.is_empty())?;
+        let mut inverse = Inverse::new(
+            Arc::clone(&self.problem.model),
+            !self.problem.channels.is_empty(),
+        )?;
         inverse.set_parameters(&self.problem.parameters, &self.problem.model, self.x)?;
         Ok(inverse)
     }
@@ -89,7 +97,10 @@ impl Point<'_> {
         model.differentiate_pos(&mut out.before, h, self.knot(a), self.knot(b))?;
         let (a, b) = (k.min(last - 1), (k + 1).min(last));
         model.differentiate_pos(&mut out.after, h, self.knot(a), self.knot(b))?;
-        for ((a, b), v) in (out.acceleration.iter_mut()).zip(&out.after).zip(&out.before) {
+        for ((a, b), v) in (out.acceleration.iter_mut())
+            .zip(&out.after)
+            .zip(&out.before)
+        {
             *a = (b - v) / h;
         }
         inverse.set_ctrl(&controls[k * nu..(k + 1) * nu]);
@@ -135,8 +146,14 @@ impl Point<'_> {
             let defect = at.acceleration.iter().zip(&at.predicted);
             out.defect.extend(defect.map(|(a, p)| defined * (a - p)));
             if forces {
-                inverse.evaluate(self.knot(k), &at.before, &at.acceleration, Changed::Position)?;
-                out.force.extend(inverse.residual().iter().map(|f| defined * f));
+                inverse.evaluate(
+                    self.knot(k),
+                    &at.before,
+                    &at.acceleration,
+                    Changed::Position,
+                )?;
+                out.force
+                    .extend(inverse.residual().iter().map(|f| defined * f));
             }
         }
         Ok(Some(out))
@@ -160,6 +177,13 @@ pub(super) fn read_channels(problem: &Problem, inverse: &Inverse, out: &mut [f64
 
 /// Parts of a range of knots for the threads. Results do not depend on how it is cut.
 pub(super) fn chunks(range: Range<usize>) -> Vec<Range<usize>> {
-    let size = range.len().div_ceil(4 * rayon::current_num_threads()).max(16);
-    range.clone().step_by(size).map(|a| a..(a + size).min(range.end)).collect()
+    let size = range
+        .len()
+        .div_ceil(4 * rayon::current_num_threads())
+        .max(16);
+    range
+        .clone()
+        .step_by(size)
+        .map(|a| a..(a + size).min(range.end))
+        .collect()
 }

@@ -58,7 +58,11 @@ impl<'a> Pose<'a> {
     }
 
     /// Derivatives of residuals that are `base` here.
-    fn jacobian(&mut self, base: &[f64], goals: &[(usize, f64)]) -> Result<DMatrix<f64>, SysidError> {
+    fn jacobian(
+        &mut self,
+        base: &[f64],
+        goals: &[(usize, f64)],
+    ) -> Result<DMatrix<f64>, SysidError> {
         let nv = self.data.model().nv();
         let qpos = self.data.qpos().to_vec();
         let mut jacobian = DMatrix::zeros(base.len(), nv);
@@ -78,19 +82,28 @@ impl<'a> Pose<'a> {
     }
 
     /// Covariance (nv × nv) of a position about `qpos` at which `channels` are measured once.
-    pub(super) fn covariance(&mut self, qpos: &[f64], channels: &[usize]) -> Result<DMatrix<f64>, SysidError> {
+    pub(super) fn covariance(
+        &mut self,
+        qpos: &[f64],
+        channels: &[usize],
+    ) -> Result<DMatrix<f64>, SysidError> {
         self.data.qpos_mut().copy_from_slice(qpos);
         let goals: Vec<(usize, f64)> = channels.iter().map(|&c| (c, 0.0)).collect();
         let base = self.residual(&goals)?;
         let jacobian = self.jacobian(&base, &goals)?;
         let nv = jacobian.ncols();
-        let information = jacobian.transpose() * jacobian + DMatrix::identity(nv, nv) * UNKNOWN_SIGMA.powi(-2);
+        let information =
+            jacobian.transpose() * jacobian + DMatrix::identity(nv, nv) * UNKNOWN_SIGMA.powi(-2);
         let unknown = || DMatrix::identity(nv, nv) * UNKNOWN_SIGMA.powi(2);
         Ok(information.cholesky().map_or_else(unknown, |c| c.inverse()))
     }
 
     /// Moves the position to where sensors have the values `goals`.
-    pub(super) fn fit(&mut self, goals: &[(usize, f64)], n_iterations: usize) -> Result<(), SysidError> {
+    pub(super) fn fit(
+        &mut self,
+        goals: &[(usize, f64)],
+        n_iterations: usize,
+    ) -> Result<(), SysidError> {
         let nv = self.data.model().nv();
         let finest = goals
             .iter()
@@ -100,7 +113,9 @@ impl<'a> Pose<'a> {
         for _ in 0..n_iterations {
             let base = self.residual(goals)?;
             let qpos = self.data.qpos().to_vec();
-            let mut jacobian = self.jacobian(&base, goals)?.insert_rows(base.len(), nv, 0.0);
+            let mut jacobian = self
+                .jacobian(&base, goals)?
+                .insert_rows(base.len(), nv, 0.0);
             for j in 0..nv {
                 jacobian[(base.len() + j, j)] = stay;
             }

@@ -234,7 +234,13 @@ impl Problem {
     /// eased above level 1.
     pub(super) fn force_sigma_at(&self, level: f64, scale: &[f64]) -> Vec<f64> {
         (self.force_sigma.iter().zip(scale))
-            .map(|(given, scale)| if *given > 0.0 { given * level.max(1.0) } else { level * scale })
+            .map(|(given, scale)| {
+                if *given > 0.0 {
+                    given * level.max(1.0)
+                } else {
+                    level * scale
+                }
+            })
             .collect()
     }
 
@@ -246,10 +252,15 @@ impl Problem {
             let (low, high) = &mut ends[s.channel];
             (*low, *high) = (low.min(s.value), high.max(s.value));
         }
-        let ranges: Vec<f64> = ends.into_iter().map(|(low, high)| (high - low).max(0.0)).collect();
+        let ranges: Vec<f64> = ends
+            .into_iter()
+            .map(|(low, high)| (high - low).max(0.0))
+            .collect();
         let alike = |c: &Channel| {
             let pairs = self.channels.iter().zip(&ranges);
-            pairs.filter(|(o, _)| o.unit == c.unit).fold(0.0_f64, |m, (_, r)| m.max(*r))
+            pairs
+                .filter(|(o, _)| o.unit == c.unit)
+                .fold(0.0_f64, |m, (_, r)| m.max(*r))
         };
         self.channels.iter().map(alike).collect()
     }

@@ -61,7 +61,12 @@ impl Solver<'_> {
         let (mut cost, mut next) = (0.0, 0);
         for k in 0..trial.n_knots {
             if k > 0 && k + 1 < trial.n_knots {
-                for (i, (sigma, norm)) in self.force_sigma.iter().zip(&self.problem.force_norm).enumerate() {
+                for (i, (sigma, norm)) in self
+                    .force_sigma
+                    .iter()
+                    .zip(&self.problem.force_norm)
+                    .enumerate()
+                {
                     let source = blocks.row(k, i);
                     let r = source[width - 1] / sigma;
                     cost += norm.cost(r);

@@ -27,9 +27,15 @@ struct Belief {
 }
 
 /// Values of a signal given by (time, value), in the order of time, at `times`, likewise in order.
-pub(super) fn smooth(samples: &[(f64, f64)], sigma: f64, times: impl Iterator<Item = f64>) -> Vec<f64> {
+pub(super) fn smooth(
+    samples: &[(f64, f64)],
+    sigma: f64,
+    times: impl Iterator<Item = f64>,
+) -> Vec<f64> {
     let Some(first) = Prior::new(samples, sigma) else {
-        return times.map(|_| samples.first().map_or(0.0, |s| s.1)).collect();
+        return times
+            .map(|_| samples.first().map_or(0.0, |s| s.1))
+            .collect();
     };
     let q = first.most_likely(samples, sigma);
     // samples and wanted times in one order
@@ -51,10 +57,14 @@ pub(super) fn smooth(samples: &[(f64, f64)], sigma: f64, times: impl Iterator<It
         if i + 1 < events.len() {
             let (here, (_, ahead)) = (filtered[i].0, filtered[i + 1]);
             let f = transition(events[i + 1].0 - events[i].0);
-            let gain = ahead.covariance.try_inverse().map_or(Matrix3::zeros(), |p| here.covariance * f.transpose() * p);
+            let gain = ahead
+                .covariance
+                .try_inverse()
+                .map_or(Matrix3::zeros(), |p| here.covariance * f.transpose() * p);
             later = Belief {
                 mean: here.mean + gain * (later.mean - ahead.mean),
-                covariance: here.covariance + gain * (later.covariance - ahead.covariance) * gain.transpose(),
+                covariance: here.covariance
+                    + gain * (later.covariance - ahead.covariance) * gain.transpose(),
             };
         }
         if events[i].1.is_none() {
@@ -78,15 +88,26 @@ impl Prior {
         if samples.len() < 4 || span <= 0.0 {
             return None;
         }
-        let (low, high) = samples.iter().fold((first.1, first.1), |(l, h), s| (l.min(s.1), h.max(s.1)));
+        let (low, high) = samples
+            .iter()
+            .fold((first.1, first.1), |(l, h), s| (l.min(s.1), h.max(s.1)));
         let size = (high - low).max(sigma);
         let step = span / (samples.len() - 1) as f64;
-        let largest = |differences: &mut dyn Iterator<Item = f64>| differences.fold(sigma, |m, d| m.max(d.abs()));
+        let largest = |differences: &mut dyn Iterator<Item = f64>| {
+            differences.fold(sigma, |m, d| m.max(d.abs()))
+        };
         let speed = largest(&mut samples.windows(2).map(|w| w[1].1 - w[0].1)) / step;
-        let acceleration = largest(&mut samples.windows(3).map(|w| w[2].1 - 2.0 * w[1].1 + w[0].1)) / (step * step);
+        let acceleration = largest(&mut samples.windows(3).map(|w| w[2].1 - 2.0 * w[1].1 + w[0].1))
+            / (step * step);
         let variance = Vector3::new(size, speed, acceleration).map(|s| DIFFUSE * s * s);
-        let belief = Belief { mean: Vector3::new(first.1, 0.0, 0.0), covariance: Matrix3::from_diagonal(&variance) };
-        Some(Self { belief, q: size * size / span.powi(5) })
+        let belief = Belief {
+            mean: Vector3::new(first.1, 0.0, 0.0),
+            covariance: Matrix3::from_diagonal(&variance),
+        };
+        Some(Self {
+            belief,
+            q: size * size / span.powi(5),
+        })
     }
 
     fn most_likely(&self, samples: &[(f64, f64)], sigma: f64) -> f64 {
@@ -140,7 +161,10 @@ fn predict(b: &Belief, t: f64, q: f64) -> Belief {
         t * t / 2.0,
         t,
     );
-    Belief { mean: f * b.mean, covariance: f * b.covariance * f.transpose() + noise * q }
+    Belief {
+        mean: f * b.mean,
+        covariance: f * b.covariance * f.transpose() + noise * q,
+    }
 }
 
 /// Belief after a sample, and the sample's negative log-likelihood.
@@ -153,7 +177,13 @@ fn update(b: &Belief, y: f64, sigma: f64) -> (Belief, f64) {
     let keep = Matrix3::identity() - gain * Vector3::x().transpose();
     let covariance = keep * p * keep.transpose() + gain * gain.transpose() * (sigma * sigma);
     let nll = 0.5 * (error * error / variance + variance.ln());
-    (Belief { mean: b.mean + gain * error, covariance }, nll)
+    (
+        Belief {
+            mean: b.mean + gain * error,
+            covariance,
+        },
+        nll,
+    )
 }
 
 #[cfg(test)]
@@ -169,7 +199,11 @@ mod tests {
             .collect();
         let times: Vec<f64> = (0..4000).map(|i| 5e-4 * f64::from(i)).collect();
         let smoothed = smooth(&samples, sigma, times.iter().copied());
-        let square: f64 = smoothed.iter().zip(&times).map(|(s, &t)| (s - truth(t)).powi(2)).sum();
+        let square: f64 = smoothed
+            .iter()
+            .zip(&times)
+            .map(|(s, &t)| (s - truth(t)).powi(2))
+            .sum();
         (square / times.len() as f64).sqrt()
     }
 

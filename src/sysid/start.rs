@@ -35,7 +35,12 @@ pub(super) fn trajectory(
                 .map(|s| (s.time - delay, (s.value - bias) / gain))
                 .collect();
             let sigma = channel.sigma / gain.abs();
-            (!series.is_empty()).then(|| (c, smooth(&series, sigma, (0..trial.n_knots).map(|k| k as f64 * h))))
+            (!series.is_empty()).then(|| {
+                (
+                    c,
+                    smooth(&series, sigma, (0..trial.n_knots).map(|k| k as f64 * h)),
+                )
+            })
         })
         .collect();
     let size = trial
@@ -64,11 +69,18 @@ pub(super) fn trajectory(
 }
 
 /// Part of the knots of all trials at which bodies touch.
-pub(super) fn contact(problem: &Problem, x: &[f64], trajectories: &[Vec<f64>]) -> Result<f64, SysidError> {
+pub(super) fn contact(
+    problem: &Problem,
+    x: &[f64],
+    trajectories: &[Vec<f64>],
+) -> Result<f64, SysidError> {
     let mut data = Data::new(Arc::clone(&problem.model))?;
     problem.parameters.apply(&problem.model, x, &mut data)?;
     let (mut touching, mut n) = (0_u32, 0_u32);
-    for qpos in trajectories.iter().flat_map(|q| q.chunks_exact(problem.model.nq())) {
+    for qpos in trajectories
+        .iter()
+        .flat_map(|q| q.chunks_exact(problem.model.nq()))
+    {
         data.qpos_mut().copy_from_slice(qpos);
         data.position_stage()?;
         touching += u32::from(data.ncon() > 0);
@@ -92,19 +104,33 @@ pub(super) struct Belief {
 }
 
 /// What measurements and equality constraints tell of the first state of a trial whose motion is about `qpos`.
-pub(super) fn belief(problem: &Problem, trial: &Trial, x: &[f64], qpos: &[f64]) -> Result<Belief, SysidError> {
+pub(super) fn belief(
+    problem: &Problem,
+    trial: &Trial,
+    x: &[f64],
+    qpos: &[f64],
+) -> Result<Belief, SysidError> {
     let model = &problem.model;
     let (nq, nv) = (model.nq(), model.nv());
     let mut qvel = vec![0.0; nv];
     model.differentiate_pos(&mut qvel, model.timestep(), &qpos[..nq], &qpos[nq..2 * nq])?;
     let measured: Vec<usize> = (0..problem.channels.len())
-        .filter(|&c| problem.channels[c].stage == Stage::Position && trial.samples.iter().any(|s| s.channel == c))
+        .filter(|&c| {
+            problem.channels[c].stage == Stage::Position
+                && trial.samples.iter().any(|s| s.channel == c)
+        })
         .collect();
     let position = Pose::new(problem, x)?.covariance(&qpos[..nq], &measured)?;
     let mut covariance = DMatrix::zeros(2 * nv, 2 * nv);
     covariance.view_mut((0, 0), (nv, nv)).copy_from(&position);
-    covariance.view_mut((nv, nv), (nv, nv)).copy_from(&(position * (RATE * RATE)));
-    Ok(Belief { qpos: qpos[..nq].to_vec(), qvel, covariance })
+    covariance
+        .view_mut((nv, nv), (nv, nv))
+        .copy_from(&(position * (RATE * RATE)));
+    Ok(Belief {
+        qpos: qpos[..nq].to_vec(),
+        qvel,
+        covariance,
+    })
 }
 
 /// Size of the forces at each degree of freedom, N m or N: what weight, motors and motion make of it.

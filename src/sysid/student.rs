@@ -19,7 +19,11 @@ pub(super) fn f_quantile(p: f64, m: f64, n: f64) -> f64 {
 
 /// A number of degrees of freedom that a distribution can have: residuals of rounding alone give any.
 fn within(dof: f64) -> f64 {
-    if dof.is_nan() { FEW } else { dof.clamp(FEW, MANY) }
+    if dof.is_nan() {
+        FEW
+    } else {
+        dof.clamp(FEW, MANY)
+    }
 }
 
 #[cfg(test)]

@@ -105,8 +105,8 @@ struct Filter<'a> {
     problem: &'a Problem,
     following: Following<'a>,
     free: Vec<f64>,
-    n_knots: usize,  // of the coarse grid
-    timestep: f64,   // of the coarse grid
+    n_knots: usize, // of the coarse grid
+    timestep: f64,  // of the coarse grid
     controls: Vec<f64>,
     readings: Vec<Vec<Reading>>,
     workspaces: Vec<Inverse>,
@@ -128,7 +128,12 @@ struct Kept {
 }
 
 impl<'a> Filter<'a> {
-    fn new(problem: &'a Problem, trial: usize, x: &[f64], following: Following<'a>) -> Result<Self, SysidError> {
+    fn new(
+        problem: &'a Problem,
+        trial: usize,
+        x: &[f64],
+        following: Following<'a>,
+    ) -> Result<Self, SysidError> {
         let timestep = problem.model.timestep() * following.stride as f64;
         let mut model = problem.model.try_clone()?;
         model.edit().set_timestep(timestep)?;
@@ -142,7 +147,14 @@ impl<'a> Filter<'a> {
         let workspaces = (0..n).map(|_| workspace(x)).collect::<Result<_, _>>()?;
         let trial = &problem.trials[trial];
         let n_knots = (trial.n_knots - 1) / following.stride + 1;
-        let coarse = |x: &[f64]| coarsen(&problem.controls(trial, x), problem.model.nu(), following.stride, n_knots);
+        let coarse = |x: &[f64]| {
+            coarsen(
+                &problem.controls(trial, x),
+                problem.model.nu(),
+                following.stride,
+                n_knots,
+            )
+        };
         let controls = coarse(x);
         let mut perturbed = Vec::new();
         for (j, p) in problem.parameters.iter_free().enumerate() {
@@ -150,7 +162,11 @@ impl<'a> Filter<'a> {
             let mut x = x.to_vec();
             x[j] += step;
             let moved = (!problem.parameters.changes_model(j)).then(|| coarse(&x));
-            perturbed.push(Perturbed { inverse: workspace(&x)?, controls: moved, step });
+            perturbed.push(Perturbed {
+                inverse: workspace(&x)?,
+                controls: moved,
+                step,
+            });
         }
         let mut filter = Self {
             problem,
@@ -174,7 +190,11 @@ impl<'a> Filter<'a> {
             let channel = &self.problem.channels[s.channel];
             let time = s.time - channel.delay.value(&self.free);
             // what depends on forces holds from a knot to the next
-            let ahead = if channel.stage == Stage::Acceleration { 0.0 } else { 0.5 };
+            let ahead = if channel.stage == Stage::Acceleration {
+                0.0
+            } else {
+                0.5
+            };
             let k = (time / self.timestep + ahead).floor();
             if k < 0.0 || k >= self.n_knots as f64 {
                 continue;
@@ -187,7 +207,12 @@ impl<'a> Filter<'a> {
                     r.late_s += (late_s - r.late_s) / (r.n + 1.0);
                     r.n += 1.0;
                 }
-                None => at.push(Reading { channel: s.channel, value: s.value, n: 1.0, late_s }),
+                None => at.push(Reading {
+                    channel: s.channel,
+                    value: s.value,
+                    n: 1.0,
+                    late_s,
+                }),
             }
         }
         out
@@ -204,9 +229,18 @@ impl<'a> Filter<'a> {
         let mut out = Followed::default();
         let mut kept: Vec<Kept> = Vec::new();
         for k in 0..self.n_knots {
-            let Some(root) = square_root(&covariance) else { return Ok(None) };
-            let Some(spread) = self.expand(k, &qpos, &qvel, &root, &acceleration)? else { return Ok(None) };
-            let Spread { centre, first, second, by_x } = spread;
+            let Some(root) = square_root(&covariance) else {
+                return Ok(None);
+            };
+            let Some(spread) = self.expand(k, &qpos, &qvel, &root, &acceleration)? else {
+                return Ok(None);
+            };
+            let Spread {
+                centre,
+                first,
+                second,
+                by_x,
+            } = spread;
             for ((a, after), before) in acceleration.iter_mut().zip(&centre.qvel).zip(&qvel) {
                 *a = (after - before) / self.timestep;
             }
@@ -217,8 +251,11 @@ impl<'a> Filter<'a> {
             self.add_noise(&mut ahead, &qpos, &qvel, &acceleration)?;
             let mut shift = DVector::from_fn(n_state, |i, _| second_z.row(i).sum());
             // sensitivities: through the state, whose columns are differences, and directly
-            let through = |m: &DMatrix<f64>| root.solve_lower_triangular(&sensitivity).map(|y| m * y);
-            let Some(through) = through(&first) else { return Ok(None) };
+            let through =
+                |m: &DMatrix<f64>| root.solve_lower_triangular(&sensitivity).map(|y| m * y);
+            let Some(through) = through(&first) else {
+                return Ok(None);
+            };
             let total = through + by_x;
             let mut next_sensitivity = total.rows(0, n_state).into_owned();
             let readings = std::mem::take(&mut self.readings[k]);
@@ -226,8 +263,13 @@ impl<'a> Filter<'a> {
             let mut moved = DVector::zeros(n_state); // correction of z
             if !readings.is_empty() {
                 let n = readings.len();
-                let pick = |m: &DMatrix<f64>| DMatrix::from_fn(n, m.ncols(), |i, j| m[(n_state + readings[i].channel, j)]);
-                let gains: Vec<f64> = readings.iter().map(|r| self.problem.channels[r.channel].gain.value(&self.free)).collect();
+                let pick = |m: &DMatrix<f64>| {
+                    DMatrix::from_fn(n, m.ncols(), |i, j| m[(n_state + readings[i].channel, j)])
+                };
+                let gains: Vec<f64> = readings
+                    .iter()
+                    .map(|r| self.problem.channels[r.channel].gain.value(&self.free))
+                    .collect();
                 let scaled = |mut m: DMatrix<f64>| {
                     for (mut row, gain) in m.row_iter_mut().zip(&gains) {
                         row *= *gain;
@@ -237,7 +279,8 @@ impl<'a> Filter<'a> {
                 let (first_y, second_y) = (scaled(pick(&first)), scaled(pick(&second)));
                 let mut by_x = scaled(pick(&total));
                 let mut error = DVector::zeros(n);
-                let mut variance = &first_y * first_y.transpose() + &second_y * second_y.transpose() * 2.0;
+                let mut variance =
+                    &first_y * first_y.transpose() + &second_y * second_y.transpose() * 2.0;
                 for (i, r) in readings.iter().enumerate() {
                     let expected = self.expected(*r, &centre, before.as_ref(), &mut by_x, i);
                     error[i] = r.value - expected - second_y.row(i).sum();
@@ -246,11 +289,18 @@ impl<'a> Filter<'a> {
                     let whitened = error[i] / (variance[(i, i)] + noise).sqrt();
                     variance[(i, i)] += noise / channel.norm.weight(whitened).max(1e-6);
                 }
-                let Some(factor) = variance.cholesky() else { return Ok(None) };
+                let Some(factor) = variance.cholesky() else {
+                    return Ok(None);
+                };
                 let lower = factor.l();
-                let whitened = lower.solve_lower_triangular(&error).unwrap_or_else(|| error.clone());
-                let rows = lower.solve_lower_triangular(&by_x).unwrap_or_else(|| by_x.clone());
-                out.nll += 0.5 * whitened.norm_squared() + lower.diagonal().iter().map(|d| d.ln()).sum::<f64>();
+                let whitened = lower
+                    .solve_lower_triangular(&error)
+                    .unwrap_or_else(|| error.clone());
+                let rows = lower
+                    .solve_lower_triangular(&by_x)
+                    .unwrap_or_else(|| by_x.clone());
+                out.nll += 0.5 * whitened.norm_squared()
+                    + lower.diagonal().iter().map(|d| d.ln()).sum::<f64>();
                 for i in 0..n {
                     out.innovations.extend(rows.row(i).iter());
                     out.innovations.push(whitened[i]);
@@ -281,9 +331,15 @@ impl<'a> Filter<'a> {
                 for (v, d) in corrected.1.iter_mut().zip(&moved.as_slice()[nv..]) {
                     *v += d;
                 }
-                let Some(factor) = regular(&ahead) else { return Ok(None) };
+                let Some(factor) = regular(&ahead) else {
+                    return Ok(None);
+                };
                 let gain = factor.solve(&cross.transpose()).transpose();
-                kept.push(Kept { corrected, ahead: next.clone(), gain });
+                kept.push(Kept {
+                    corrected,
+                    ahead: next.clone(),
+                    gain,
+                });
             }
             before = Some(centre.channels);
             (qpos, qvel) = next;
@@ -296,9 +352,19 @@ impl<'a> Filter<'a> {
     }
 
     /// Expected value of a reading at the centre, and its derivatives by the numbers of its instrument.
-    fn expected(&self, r: Reading, centre: &Outcome, before: Option<&Vec<f64>>, by_x: &mut DMatrix<f64>, row: usize) -> f64 {
+    fn expected(
+        &self,
+        r: Reading,
+        centre: &Outcome,
+        before: Option<&Vec<f64>>,
+        by_x: &mut DMatrix<f64>,
+        row: usize,
+    ) -> f64 {
         let channel = &self.problem.channels[r.channel];
-        let (gain, bias) = (channel.gain.value(&self.free), channel.bias.value(&self.free));
+        let (gain, bias) = (
+            channel.gain.value(&self.free),
+            channel.bias.value(&self.free),
+        );
         let rate = match before {
             Some(before) if channel.stage != Stage::Acceleration => {
                 (centre.channels[r.channel] - before[r.channel]) / self.timestep
@@ -306,7 +372,11 @@ impl<'a> Filter<'a> {
             _ => 0.0,
         };
         let z = centre.channels[r.channel] + rate * r.late_s;
-        for (setting, derivative) in [(channel.bias, 1.0), (channel.gain, z), (channel.delay, -gain * rate)] {
+        for (setting, derivative) in [
+            (channel.bias, 1.0),
+            (channel.gain, z),
+            (channel.delay, -gain * rate),
+        ] {
             if let Setting::Free(j) = setting {
                 by_x[(row, j)] += derivative * self.problem.parameters.slope(j, self.free[j]);
             }
@@ -330,32 +400,38 @@ impl<'a> Filter<'a> {
         let step = |inverse: &mut Inverse, ctrl: &[f64], qpos: &[f64], qvel: &[f64]| {
             advance(problem, inverse, ctrl, qpos, qvel, guess)
         };
-        let Some(centre) = step(&mut self.workspaces[0], ctrl, qpos, qvel)? else { return Ok(None) };
+        let Some(centre) = step(&mut self.workspaces[0], ctrl, qpos, qvel)? else {
+            return Ok(None);
+        };
         let n = 2 * nv + problem.channels.len();
         let reach = REACH_SQUARE.sqrt();
         let columns: Vec<usize> = (0..2 * nv).collect();
         let size = columns.len().div_ceil(self.workspaces.len());
         let differences = |outcome: &Outcome| difference(problem, &centre, outcome);
         // a column each: forth, back
-        let parts: Vec<Result<Option<Vec<[Vec<f64>; 2]>>, SysidError>> = (self.workspaces.par_iter_mut())
-            .zip(columns.par_chunks(size))
-            .map(|(inverse, columns)| {
-                let mut done = Vec::with_capacity(columns.len());
-                for &j in columns {
-                    let mut pair = [Vec::new(), Vec::new()];
-                    for (sign, out) in [reach, -reach].into_iter().zip(&mut pair) {
-                        let delta: Vec<f64> = root.column(j).iter().map(|r| sign * r).collect();
-                        let mut q = qpos.to_vec();
-                        problem.model.integrate_pos(&mut q, &delta[..nv], 1.0)?;
-                        let v: Vec<f64> = qvel.iter().zip(&delta[nv..]).map(|(v, d)| v + d).collect();
-                        let Some(outcome) = step(inverse, ctrl, &q, &v)? else { return Ok(None) };
-                        *out = differences(&outcome)?;
-                    }
-                    done.push(pair);
+        let parts: Vec<Result<Option<Vec<[Vec<f64>; 2]>>, SysidError>> = (self
+            .workspaces
+            .par_iter_mut())
+        .zip(columns.par_chunks(size))
+        .map(|(inverse, columns)| {
+            let mut done = Vec::with_capacity(columns.len());
+            for &j in columns {
+                let mut pair = [Vec::new(), Vec::new()];
+                for (sign, out) in [reach, -reach].into_iter().zip(&mut pair) {
+                    let delta: Vec<f64> = root.column(j).iter().map(|r| sign * r).collect();
+                    let mut q = qpos.to_vec();
+                    problem.model.integrate_pos(&mut q, &delta[..nv], 1.0)?;
+                    let v: Vec<f64> = qvel.iter().zip(&delta[nv..]).map(|(v, d)| v + d).collect();
+                    let Some(outcome) = step(inverse, ctrl, &q, &v)? else {
+                        return Ok(None);
+                    };
+                    *out = differences(&outcome)?;
                 }
-                Ok(Some(done))
-            })
-            .collect();
+                done.push(pair);
+            }
+            Ok(Some(done))
+        })
+        .collect();
         let mut first = DMatrix::zeros(n, 2 * nv);
         let mut second = DMatrix::zeros(n, 2 * nv);
         let mut j = 0;
@@ -369,23 +445,36 @@ impl<'a> Filter<'a> {
                 j += 1;
             }
         }
-        let derivatives: Vec<Result<Option<Vec<f64>>, SysidError>> = (self.perturbed.par_iter_mut())
-            .map(|p| {
-                let ctrl = p.controls.as_ref().map_or(ctrl, |c| &c[k * nu..(k + 1) * nu]);
-                let Some(outcome) = step(&mut p.inverse, ctrl, qpos, qvel)? else { return Ok(None) };
-                let mut column = differences(&outcome)?;
-                for c in &mut column {
-                    *c /= p.step;
-                }
-                Ok(Some(column))
-            })
-            .collect();
+        let derivatives: Vec<Result<Option<Vec<f64>>, SysidError>> =
+            (self.perturbed.par_iter_mut())
+                .map(|p| {
+                    let ctrl = p
+                        .controls
+                        .as_ref()
+                        .map_or(ctrl, |c| &c[k * nu..(k + 1) * nu]);
+                    let Some(outcome) = step(&mut p.inverse, ctrl, qpos, qvel)? else {
+                        return Ok(None);
+                    };
+                    let mut column = differences(&outcome)?;
+                    for c in &mut column {
+                        *c /= p.step;
+                    }
+                    Ok(Some(column))
+                })
+                .collect();
         let mut by_x = DMatrix::zeros(n, derivatives.len());
         for (j, column) in derivatives.into_iter().enumerate() {
-            let Some(column) = column? else { return Ok(None) };
+            let Some(column) = column? else {
+                return Ok(None);
+            };
             by_x.column_mut(j).copy_from_slice(&column);
         }
-        Ok(Some(Spread { centre, first, second, by_x }))
+        Ok(Some(Spread {
+            centre,
+            first,
+            second,
+            by_x,
+        }))
     }
 
     /// Adds what unexplained forces do to the next state.
@@ -410,7 +499,9 @@ impl<'a> Filter<'a> {
                 mass[(i, j)] = (r - b) / STEP_ACCELERATION;
             }
         }
-        let Some(mut response) = mass.try_inverse() else { return Ok(()) };
+        let Some(mut response) = mass.try_inverse() else {
+            return Ok(());
+        };
         for (mut column, sigma) in response.column_iter_mut().zip(self.following.force_sigma) {
             column *= h * *sigma;
         }
@@ -453,7 +544,11 @@ fn advance(
     {
         return Ok(None);
     }
-    let mut out = Outcome { qpos: qpos.to_vec(), qvel: qvel.to_vec(), channels: vec![0.0; problem.channels.len()] };
+    let mut out = Outcome {
+        qpos: qpos.to_vec(),
+        qvel: qvel.to_vec(),
+        channels: vec![0.0; problem.channels.len()],
+    };
     for (v, a) in out.qvel.iter_mut().zip(&acceleration) {
         *v += h * a;
     }
@@ -463,12 +558,24 @@ fn advance(
 }
 
 /// (δq, δv, δy) from `centre` to `outcome`.
-fn difference(problem: &Problem, centre: &Outcome, outcome: &Outcome) -> Result<Vec<f64>, SysidError> {
+fn difference(
+    problem: &Problem,
+    centre: &Outcome,
+    outcome: &Outcome,
+) -> Result<Vec<f64>, SysidError> {
     let nv = centre.qvel.len();
     let mut out = vec![0.0; nv];
-    problem.model.differentiate_pos(&mut out, 1.0, &centre.qpos, &outcome.qpos)?;
+    problem
+        .model
+        .differentiate_pos(&mut out, 1.0, &centre.qpos, &outcome.qpos)?;
     out.extend(outcome.qvel.iter().zip(&centre.qvel).map(|(a, b)| a - b));
-    out.extend(outcome.channels.iter().zip(&centre.channels).map(|(a, b)| a - b));
+    out.extend(
+        outcome
+            .channels
+            .iter()
+            .zip(&centre.channels)
+            .map(|(a, b)| a - b),
+    );
     Ok(out)
 }
 
@@ -476,7 +583,11 @@ fn difference(problem: &Problem, centre: &Outcome, outcome: &Outcome) -> Result<
 fn coarsen(controls: &[f64], nu: usize, stride: usize, n_knots: usize) -> Vec<f64> {
     let mut out = vec![0.0; n_knots * nu];
     for k in 0..n_knots {
-        let rows: Vec<&[f64]> = controls.chunks_exact(nu.max(1)).skip(k * stride).take(stride).collect();
+        let rows: Vec<&[f64]> = controls
+            .chunks_exact(nu.max(1))
+            .skip(k * stride)
+            .take(stride)
+            .collect();
         for i in 0..nu {
             out[k * nu + i] = rows.iter().map(|r| r[i]).sum::<f64>() / rows.len() as f64;
         }
@@ -506,18 +617,28 @@ fn regular(covariance: &DMatrix<f64>) -> Option<Cholesky<f64, Dyn>> {
 /// Standard deviations, and the factor of the correlations.
 fn scaled(covariance: &DMatrix<f64>) -> Option<(Vec<f64>, Cholesky<f64, Dyn>)> {
     let n = covariance.nrows();
-    let scale: Vec<f64> = (0..n).map(|i| covariance[(i, i)].max(1e-300).sqrt()).collect();
+    let scale: Vec<f64> = (0..n)
+        .map(|i| covariance[(i, i)].max(1e-300).sqrt())
+        .collect();
     let correlation = |jitter: f64| {
-        DMatrix::from_fn(n, n, |i, j| covariance[(i, j)] / (scale[i] * scale[j]) + if i == j { jitter } else { 0.0 })
+        DMatrix::from_fn(n, n, |i, j| {
+            covariance[(i, j)] / (scale[i] * scale[j]) + if i == j { jitter } else { 0.0 }
+        })
     };
     // rounding may leave a covariance a little less than positive
     let jitters = [JITTER, 1e-9, 1e-6];
-    let factor = jitters.into_iter().find_map(|j| correlation(j).cholesky())?;
+    let factor = jitters
+        .into_iter()
+        .find_map(|j| correlation(j).cholesky())?;
     Some((scale, factor))
 }
 
 /// Positions with what came later taken into account (Rauch, Tung, Striebel), n × nq.
-fn backward(model: &crate::mujoco::Model, kept: &[Kept], nq: usize) -> Result<Vec<f64>, SysidError> {
+fn backward(
+    model: &crate::mujoco::Model,
+    kept: &[Kept],
+    nq: usize,
+) -> Result<Vec<f64>, SysidError> {
     let nv = model.nv();
     let mut out = vec![0.0; kept.len() * nq];
     let mut later: Option<(Vec<f64>, Vec<f64>)> = None;

@@ -24,7 +24,7 @@ const PUSH: &str = r#"<mujoco><option timestep="0.002" cone="elliptic" impratio=
 <sensor><jointpos name="xs" joint="x"/><jointpos name="ys" joint="y"/>
 <framepos name="cp" objtype="body" objname="cyl"/></sensor></mujoco>"#;
 
-pub(crate) const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
+const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
 
 fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
     Channel {
@@ -37,11 +37,6 @@ fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
 
 /// The reference motion of 2 s, as a recording.
 fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
-    let (a, b, _) = pushed_run(noise_m, seed);
-    (a, b)
-}
-
-pub(crate) fn pushed_run(noise_m: f64, seed: u64) -> (Arc<Model>, Recording, Vec<f64>) {
     let model = Arc::new(Model::from_xml_str(PUSH).expect("loads"));
     let mut data = Data::new(model.clone()).expect("data");
     let run = simulate(&mut data, 1000, |data, ctrl| {
@@ -78,10 +73,14 @@ pub(crate) fn pushed_run(noise_m: f64, seed: u64) -> (Arc<Model>, Recording, Vec
         sensors.push(stamp, &noisy);
         controls.push(stamp, u);
     }
-    (model, Recording { streams: vec![sensors, controls], ..Recording::default() }, run.qpos.concat())
+    let recording = Recording {
+        streams: vec![sensors, controls],
+        ..Recording::default()
+    };
+    (model, recording)
 }
 
-pub(crate) fn config(sigma: f64) -> ProblemConfig {
+fn config(sigma: f64) -> ProblemConfig {
     let rule = |element, attribute, components: &[usize], lower, upper| ParameterRule {
         components: components.to_vec(),
         lower: Some(lower),
@@ -110,21 +109,11 @@ fn identify(problem: &Problem, x: Vec<f64>) -> Fit {
         trajectories: None,
         force_scale: None,
     };
-    let verbose = std::env::var_os("PHANTOM_TEST_VERBOSE").is_some();
-    let fit = solve(problem, &JointSettings::default(), &start, &mut |i| {
-        if verbose {
-            let v: Vec<f64> = i.x.iter().map(|x| x.exp()).collect();
-            println!(
-                "{:8.1e} cost {:13.6e} damping {:7.0e} step {:8.1e} {v:.4?}",
-                i.level, i.cost, i.damping, i.step
-            );
-        }
-        true
-    });
-    fit.expect("solved")
+    let settings = JointSettings::default();
+    solve(problem, &settings, &start, &mut |_| true).expect("solved")
 }
 
-pub(crate) fn random_start(i: u64) -> Vec<f64> {
+fn random_start(i: u64) -> Vec<f64> {
     let mut rng = rng::stream(7, Purpose::Start, 0, i);
     [(0.05, 1.2), (0.05, 1.5), (0.1, 2.0)]
         .map(|(a, b)| rng::uniform(&mut rng, a, b).ln())
@@ -173,11 +162,4 @@ fn push_task_from_sixteen_random_starts() {
 #[ignore = "half a minute or more"]
 fn push_task_with_noise_from_sixteen_random_starts() {
     assert_eq!(successes(5e-4, 5e-4, 0.10, 16), 16);
-}
-
-#[test]
-#[ignore]
-fn push_few() {
-    let get = |n: &str, d: f64| std::env::var(n).map_or(d, |v| v.parse().expect("number"));
-    successes(get("NOISE", 0.0), get("SIGMA", 1e-6), 0.02, get("N", 2.0) as u64);
 }
