@@ -46,7 +46,7 @@ fn messages(team: &Team) -> Result<serde_json::Value, Failure> {
     let mut rows = Vec::new();
     for length in [1, 1 << 7, 1 << 10, 1 << 13, 1 << 15, 1 << 17, 1 << 19] {
         let times = (0..PASSES).map(|_| {
-            team.all(0, usize::max)?; // together again
+            team.all(&0, usize::max)?; // together again
             let begin = Instant::now();
             black_box(deal.halves(|_| vec![1.0; length])?);
             Ok::<_, Failure>(begin.elapsed().as_secs_f64())
@@ -138,5 +138,5 @@ fn busy_s() -> Result<f64, std::io::Error> {
 }
 
 fn fastest(times: impl Iterator<Item = Result<f64, Failure>>) -> Result<f64, Failure> {
-    times.fold(Ok(f64::INFINITY), |fastest, time| Ok(fastest?.min(time?)))
+    times.try_fold(f64::INFINITY, |fastest, time| Ok(fastest.min(time?)))
 }

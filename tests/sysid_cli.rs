@@ -159,7 +159,7 @@ fn identifies_writes_and_tests() {
         xml.contains("<!-- a comment to keep -->") && xml.contains("log1.mcap, log2.mcap"),
         "{xml}"
     );
-    let identified = Model::from_xml_path(&id.join("model.xml")).expect("loads");
+    let identified = Model::from_xml_path(id.join("model.xml")).expect("loads");
     let value = result["parameters"][0]["value"].as_f64().expect("a number");
     assert_eq!(identified.dof_damping()[0], value);
 

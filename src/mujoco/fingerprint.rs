@@ -19,10 +19,10 @@ impl Model {
         guarded_once(|| {
             // SAFETY: valid model; the buffer has the `size` bytes that MuJoCo asked for.
             unsafe {
-                ffi::mj_saveModel(self.as_ptr(), ptr::null(), bytes.as_mut_ptr().cast(), size)
+                ffi::mj_saveModel(self.as_ptr(), ptr::null(), bytes.as_mut_ptr().cast(), size);
             };
         })?;
         let hash = Sha256::digest(&bytes);
-        Ok(hash.iter().map(|byte| format!("{byte:02x}")).collect())
+        Ok(format!("{hash:x}"))
     }
 }

@@ -38,7 +38,7 @@ pub struct NpgConfig {
     /// advantages are clipped at this many standard deviations, and so are the targets of the value fit (not below 3
     /// there); the standard deviations are those after clipping
     pub advantage_clip: f64,
-    /// share of the trajectories, the worst by mean reward, that the step is made for: EPOpt's ε; 1: all
+    /// share of the trajectories, the worst by mean reward, that the step is made for: `EPOpt`'s ε; 1: all
     pub epopt_epsilon: f64,
     /// `crossed` or `previous`
     pub value_from: ValueFrom,

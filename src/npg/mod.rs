@@ -15,7 +15,7 @@
 //! | F⁻¹g | `natural_gradient`, [`fisher`] |
 //!
 //! With `epopt_epsilon` below 1 the step is made for the worst trajectories alone, that is for the models of the ensemble
-//! that are hardest to live with (Rajeswaran, Ghotra, Ravindran, Levine 2017, *EPOpt*, algorithm 1): gradient, Fisher
+//! that are hardest to live with (Rajeswaran, Ghotra, Ravindran, Levine 2017, *`EPOpt`*, algorithm 1): gradient, Fisher
 //! matrix and advantages are those of the share ε with the lowest mean reward. The value function is fitted to all.
 //!
 //! Every sum over trajectories runs in a fixed order and over all processes (see [`crate::team`]), so that the result

@@ -1,7 +1,7 @@
 //! Models drawn from the posterior, for training.
 //!
 //! x ~ N(x̂, C), inside the bounds. Directions that nothing determines would give absurd models: along each principal
-//! axis, in units of the parameters' sizes, the spread is at most [`MOST`].
+//! axis, in units of the parameters' sizes, the spread is at most `MOST`.
 
 use std::sync::Arc;
 

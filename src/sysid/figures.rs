@@ -54,7 +54,7 @@ pub fn sentences(summary: &Summary) -> Vec<String> {
             .to_owned(),
         Some(h) => {
             let rollouts = match h.prediction.as_ref().and_then(|p| p.ratio) {
-                Some(r) => format!(", errors of rollouts are {:.2} times the nominal model's", r),
+                Some(r) => format!(", errors of rollouts are {r:.2} times the nominal model's"),
                 None => String::new(),
             };
             let verdict = match h.verdict {
@@ -133,7 +133,7 @@ pub fn parameter_table(parameters: &[Estimate]) -> Table {
     for p in parameters {
         let [low, high] = match p.interval {
             Some(ends) => ends.map(number),
-            None => ["".to_owned(), "".to_owned()],
+            None => [String::new(), String::new()],
         };
         let spread = match (p.x_sigma.filter(|_| p.interval.is_some()), p.scale) {
             (None, _) => String::new(),

@@ -182,13 +182,16 @@ pub(super) fn hold(problem: &Problem, value: impl Fn(&Parameter) -> f64) -> Prob
     out
 }
 
-/// Estimates the motion with parameters held and the noise of `fit`; costs of every trial and knot.
+/// Costs of every trial and knot.
+type KnotCosts = Vec<Vec<f64>>;
+
+/// Estimates the motion with parameters held and the noise of `fit`.
 fn residual(
     mut problem: Problem,
     fit: &Fit,
     method: &Method,
     watch: &mut dyn FnMut(&Iteration) -> bool,
-) -> Result<Option<(Residual, Vec<Vec<f64>>)>, SysidError> {
+) -> Result<Option<(Residual, KnotCosts)>, SysidError> {
     problem.force_sigma.clone_from(&fit.force_sigma);
     let method = method.as_strict_as(fit, true);
     let start = Start {
@@ -223,9 +226,9 @@ fn knot_costs(problem: &Problem, fit: &Fit, n_knots: usize, explained: &Explaine
     let (nv, h) = (problem.model.nv(), problem.model.timestep());
     let mut costs = vec![0.0; n_knots];
     for (k, row) in explained.force.chunks_exact(nv).enumerate() {
-        for i in 0..nv {
-            if fit.force_sigma[i] > 0.0 {
-                costs[k] += problem.force_norm[i].cost(row[i] / fit.force_sigma[i]);
+        for ((force, sigma), norm) in row.iter().zip(&fit.force_sigma).zip(&problem.force_norm) {
+            if *sigma > 0.0 {
+                costs[k] += norm.cost(force / sigma);
             }
         }
     }

@@ -193,7 +193,7 @@ impl Spread {
         let m = open.len();
         let size = |k: usize| free[open[k]].typical;
         let rows = Rows {
-            rows: &innovations.rows,
+            values: &innovations.rows,
             width: free.len() + 1,
             places: &innovations.places,
             lengths,

@@ -234,7 +234,7 @@ impl Point<'_> {
         Ok(())
     }
 
-    /// From (τ_a, τ_q, τ_v) to (q₋, q, q₊).
+    /// From (`τ_a`, `τ_q`, `τ_v`) to (q₋, q, q₊).
     fn chain(&self, k: usize, rows: &mut [f64], at: &Kinematics, width: usize) {
         let model = &self.problem.model;
         let (nv, h) = (model.nv(), model.timestep());

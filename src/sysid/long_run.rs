@@ -21,7 +21,7 @@
 //! noise whose high part must stay out.
 //!
 //! Reference: Lazarus, Lewis, Stock and Watson 2018, "HAR inference: recommendations for practice" (equal-weighted
-//! cosines with t critical values); Bell and McCaffrey 2002 for the correction of what is fitted away. The clock and the
+//! cosines with t critical values); Bell and `McCaffrey` 2002 for the correction of what is fitted away. The clock and the
 //! choice of the number of frequencies are this module's.
 
 use std::f64::consts::{PI, SQRT_2};
@@ -44,7 +44,7 @@ const HIGHER: f64 = 0.05;
 /// Rows of a least-squares problem along trials.
 pub(super) struct Rows<'a> {
     /// sensitivities and value, one behind the other
-    pub rows: &'a [f64],
+    pub values: &'a [f64],
     /// numbers a row
     pub width: usize,
     /// trial and step of each
@@ -88,7 +88,7 @@ impl Rows<'_> {
     pub(super) fn information(&self) -> DMatrix<f64> {
         let n = self.columns.len();
         let mut out = DMatrix::zeros(n, n);
-        for row in self.rows.chunks_exact(self.width) {
+        for row in self.values.chunks_exact(self.width) {
             let s = self.sensitivity(row);
             out.ger(1.0, &s, &s, 1.0);
         }
@@ -137,7 +137,7 @@ impl Rows<'_> {
 
     /// Stretches of nearly equal information, trial by trial.
     fn bins(&self, direction: &DVector<f64>) -> Vec<Vec<Bin>> {
-        let rows = || self.rows.chunks_exact(self.width).zip(self.places);
+        let rows = || self.values.chunks_exact(self.width).zip(self.places);
         let along: Vec<f64> = rows()
             .map(|(row, _)| direction.dot(&self.sensitivity(row)))
             .collect();
@@ -164,7 +164,7 @@ impl Rows<'_> {
             };
             trials.push(vec![empty; n.max(1)]);
         }
-        for (((row, &(trial, step)), &u), e) in rows().zip(&along).zip(self.values()) {
+        for (((row, &(trial, step)), &u), e) in rows().zip(&along).zip(self.residuals()) {
             let bins = &mut trials[trial];
             let at = (gathered[trial][step] as usize).min(bins.len() - 1);
             bins[at].score += u * e;
@@ -174,8 +174,8 @@ impl Rows<'_> {
         trials
     }
 
-    fn values(&self) -> impl Iterator<Item = f64> {
-        self.rows
+    fn residuals(&self) -> impl Iterator<Item = f64> {
+        self.values
             .iter()
             .skip(self.width - 1)
             .step_by(self.width)
@@ -270,7 +270,7 @@ pub(super) fn mean(series: &[Vec<f64>]) -> (f64, f64) {
         .flat_map(|(trial, &n)| (0..n).map(move |step| (trial, step)))
         .collect();
     let rows = Rows {
-        rows: &rows,
+        values: &rows,
         width: 2,
         places: &places,
         lengths: &lengths,
@@ -319,7 +319,7 @@ mod tests {
                 row[2] -= row[0] * x[0] + row[1] * x[1];
             }
             let rows = Rows {
-                rows: &rows,
+                values: &rows,
                 width: 3,
                 places: &places,
                 lengths: &vec![steps; trials],
@@ -345,7 +345,6 @@ mod tests {
             (0.9, 20, 200, 0.91),
         ] {
             let shares = coverage(a, trials, steps);
-            println!("a {a}, {trials} trials of {steps}: {shares:?} inside");
             for share in shares {
                 assert!(
                     (least..=0.995).contains(&share),

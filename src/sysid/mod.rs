@@ -21,6 +21,7 @@
 //! Reference: Kolev and Todorov 2015, "Physically consistent state estimation and system identification for contacts".
 
 mod arrow;
+mod backward;
 mod box_qp;
 pub mod design;
 pub mod ensemble;

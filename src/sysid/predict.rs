@@ -196,26 +196,23 @@ pub fn recording(
     let (mut positions, mut velocities) = (Vec::new(), Vec::new());
     for joint in 0..model.njnt() {
         let name = component(model, joint, 0, true);
-        match model.is_slide(joint) {
-            Some(slide) => {
-                let (p, v) = if slide {
-                    ("m", "m/s")
-                } else {
-                    ("rad", "rad/s")
-                };
-                positions.push(described(format!("qpos[{name}]"), Kind::Sensor, p));
-                velocities.push(described(format!("qvel[{name}]"), Kind::Sensor, v));
+        if let Some(slide) = model.is_slide(joint) {
+            let (p, v) = if slide {
+                ("m", "m/s")
+            } else {
+                ("rad", "rad/s")
+            };
+            positions.push(described(format!("qpos[{name}]"), Kind::Sensor, p));
+            velocities.push(described(format!("qvel[{name}]"), Kind::Sensor, v));
+        } else {
+            let free = model.is_free(joint);
+            for i in 0..if free { 7 } else { 4 } {
+                let unit = if free && i < 3 { "m" } else { "1" };
+                positions.push(described(format!("qpos[{name}][{i}]"), Kind::Sensor, unit));
             }
-            None => {
-                let free = model.is_free(joint);
-                for i in 0..if free { 7 } else { 4 } {
-                    let unit = if free && i < 3 { "m" } else { "1" };
-                    positions.push(described(format!("qpos[{name}][{i}]"), Kind::Sensor, unit));
-                }
-                for i in 0..if free { 6 } else { 3 } {
-                    let unit = if free && i < 3 { "m/s" } else { "rad/s" };
-                    velocities.push(described(format!("qvel[{name}][{i}]"), Kind::Sensor, unit));
-                }
+            for i in 0..if free { 6 } else { 3 } {
+                let unit = if free && i < 3 { "m/s" } else { "rad/s" };
+                velocities.push(described(format!("qvel[{name}][{i}]"), Kind::Sensor, unit));
             }
         }
     }

@@ -26,10 +26,11 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::SysidError;
+use super::backward::{Kept, backward, regular, square_root};
 use super::inverse::{Changed, Inverse};
 use super::point::read_channels;
 use super::problem::{Problem, Setting, Stage};
@@ -41,8 +42,6 @@ const REACH_SQUARE: f64 = 3.0;
 const STEP_PARAMETER: f64 = 1e-4;
 /// Of an acceleration in A.
 const STEP_ACCELERATION: f64 = 1e-3;
-/// Least variance of the belief relative to its diagonal, for the square root.
-const JITTER: f64 = 1e-12;
 /// Workspaces at the parameters themselves; more than that many threads would wait for each other.
 const N_WORKSPACES: usize = 8;
 
@@ -118,13 +117,6 @@ struct Perturbed {
     inverse: Inverse,
     controls: Option<Vec<f64>>,
     step: f64,
-}
-
-/// Everything the backward pass needs of a step.
-struct Kept {
-    corrected: (Vec<f64>, Vec<f64>),
-    ahead: (Vec<f64>, Vec<f64>),
-    gain: DMatrix<f64>,
 }
 
 impl<'a> Filter<'a> {
@@ -409,29 +401,28 @@ impl<'a> Filter<'a> {
         let size = columns.len().div_ceil(self.workspaces.len());
         let differences = |outcome: &Outcome| difference(problem, &centre, outcome);
         // a column each: forth, back
-        let parts: Vec<Result<Option<Vec<[Vec<f64>; 2]>>, SysidError>> = (self
-            .workspaces
-            .par_iter_mut())
-        .zip(columns.par_chunks(size))
-        .map(|(inverse, columns)| {
-            let mut done = Vec::with_capacity(columns.len());
-            for &j in columns {
-                let mut pair = [Vec::new(), Vec::new()];
-                for (sign, out) in [reach, -reach].into_iter().zip(&mut pair) {
-                    let delta: Vec<f64> = root.column(j).iter().map(|r| sign * r).collect();
-                    let mut q = qpos.to_vec();
-                    problem.model.integrate_pos(&mut q, &delta[..nv], 1.0)?;
-                    let v: Vec<f64> = qvel.iter().zip(&delta[nv..]).map(|(v, d)| v + d).collect();
-                    let Some(outcome) = step(inverse, ctrl, &q, &v)? else {
-                        return Ok(None);
-                    };
-                    *out = differences(&outcome)?;
+        let parts: Vec<Result<Option<Vec<Pair>>, SysidError>> = (self.workspaces.par_iter_mut())
+            .zip(columns.par_chunks(size))
+            .map(|(inverse, columns)| {
+                let mut done = Vec::with_capacity(columns.len());
+                for &j in columns {
+                    let mut pair = [Vec::new(), Vec::new()];
+                    for (sign, out) in [reach, -reach].into_iter().zip(&mut pair) {
+                        let delta: Vec<f64> = root.column(j).iter().map(|r| sign * r).collect();
+                        let mut q = qpos.to_vec();
+                        problem.model.integrate_pos(&mut q, &delta[..nv], 1.0)?;
+                        let v: Vec<f64> =
+                            qvel.iter().zip(&delta[nv..]).map(|(v, d)| v + d).collect();
+                        let Some(outcome) = step(inverse, ctrl, &q, &v)? else {
+                            return Ok(None);
+                        };
+                        *out = differences(&outcome)?;
+                    }
+                    done.push(pair);
                 }
-                done.push(pair);
-            }
-            Ok(Some(done))
-        })
-        .collect();
+                Ok(Some(done))
+            })
+            .collect();
         let mut first = DMatrix::zeros(n, 2 * nv);
         let mut second = DMatrix::zeros(n, 2 * nv);
         let mut j = 0;
@@ -519,6 +510,9 @@ impl<'a> Filter<'a> {
     }
 }
 
+/// Differences to a state's centre, forth and back.
+type Pair = [Vec<f64>; 2];
+
 /// Differences of one step.
 struct Spread {
     centre: Outcome,
@@ -593,69 +587,4 @@ fn coarsen(controls: &[f64], nu: usize, stride: usize, n_knots: usize) -> Vec<f6
         }
     }
     out
-}
-
-/// Lower triangular square root of a covariance, whose units may be far apart.
-fn square_root(covariance: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let (scale, factor) = scaled(covariance)?;
-    let mut root = factor.l();
-    for (mut row, s) in root.row_iter_mut().zip(&scale) {
-        row *= *s;
-    }
-    Some(root)
-}
-
-/// Cholesky factor of a covariance with a little added to its diagonal.
-fn regular(covariance: &DMatrix<f64>) -> Option<Cholesky<f64, Dyn>> {
-    let mut m = covariance.clone();
-    for i in 0..m.nrows() {
-        m[(i, i)] *= 1.0 + 1e-9;
-    }
-    m.cholesky()
-}
-
-/// Standard deviations, and the factor of the correlations.
-fn scaled(covariance: &DMatrix<f64>) -> Option<(Vec<f64>, Cholesky<f64, Dyn>)> {
-    let n = covariance.nrows();
-    let scale: Vec<f64> = (0..n)
-        .map(|i| covariance[(i, i)].max(1e-300).sqrt())
-        .collect();
-    let correlation = |jitter: f64| {
-        DMatrix::from_fn(n, n, |i, j| {
-            covariance[(i, j)] / (scale[i] * scale[j]) + if i == j { jitter } else { 0.0 }
-        })
-    };
-    // rounding may leave a covariance a little less than positive
-    let jitters = [JITTER, 1e-9, 1e-6];
-    let factor = jitters
-        .into_iter()
-        .find_map(|j| correlation(j).cholesky())?;
-    Some((scale, factor))
-}
-
-/// Positions with what came later taken into account (Rauch, Tung, Striebel), n × nq.
-fn backward(
-    model: &crate::mujoco::Model,
-    kept: &[Kept],
-    nq: usize,
-) -> Result<Vec<f64>, SysidError> {
-    let nv = model.nv();
-    let mut out = vec![0.0; kept.len() * nq];
-    let mut later: Option<(Vec<f64>, Vec<f64>)> = None;
-    for (k, step) in kept.iter().enumerate().rev() {
-        let mut state = step.corrected.clone();
-        if let Some((qpos, qvel)) = &later {
-            let mut delta = vec![0.0; nv];
-            model.differentiate_pos(&mut delta, 1.0, &step.ahead.0, qpos)?;
-            delta.extend(qvel.iter().zip(&step.ahead.1).map(|(a, b)| a - b));
-            let correction = &step.gain * DVector::from_vec(delta);
-            model.integrate_pos(&mut state.0, &correction.as_slice()[..nv], 1.0)?;
-            for (v, d) in state.1.iter_mut().zip(&correction.as_slice()[nv..]) {
-                *v += d;
-            }
-        }
-        out[k * nq..(k + 1) * nq].copy_from_slice(&state.0);
-        later = Some(state);
-    }
-    Ok(out)
 }

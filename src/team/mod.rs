@@ -195,7 +195,7 @@ impl Team {
     /// When processes cannot reach each other.
     pub fn all<T: Message + Clone + Sync>(
         &self,
-        mine: T,
+        mine: &T,
         join: impl Fn(T, T) -> T + Sync,
     ) -> Result<T, TeamError> {
         let joined = self.tree(0..self.size(), &|rank| rank, &|_| mine.clone(), &join)?;
@@ -241,7 +241,7 @@ impl Team {
             .as_ref()
             .err()
             .map(|error| (self.rank(), error.to_string(), is_fatal(error)));
-        match (result, self.all(failure, Option::or)?) {
+        match (result, self.all(&failure, Option::or)?) {
             (Ok(_), Some((rank, reason, is_fatal))) => Err(TeamError::Elsewhere {
                 rank,
                 reason,
@@ -260,7 +260,7 @@ impl Team {
         let mine = crc32fast::hash(&encode(value)?);
         let first = self.from_first(self.is_first().then_some(mine))?;
         let differing = (mine != first).then_some(self.rank());
-        match self.all(differing, Option::or)? {
+        match self.all(&differing, Option::or)? {
             Some(rank) => Err(TeamError::Differs { what, rank }),
             None => Ok(()),
         }

@@ -21,7 +21,7 @@ impl Team {
             for &candidate in &candidates {
                 counts[digit_of(candidate) as usize] += 1;
             }
-            let counts = self.all(counts, |a, b| {
+            let counts = self.all(&counts, |a, b| {
                 a.iter().zip(&b).map(|(a, b)| a + b).collect()
             })?;
             let Some(chosen) = (0..256).find(|&value| {

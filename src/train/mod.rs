@@ -332,7 +332,7 @@ impl Trainer {
         // sums of the same bits make the same policy, on the same kind of processor
         team.same("policy", &(&self.state.policy, &self.state.baseline))?;
         let exchanged = team.traffic();
-        let message_bytes = team.all(exchanged.bytes - traffic.bytes, u64::max)?;
+        let message_bytes = team.all(&(exchanged.bytes - traffic.bytes), u64::max)?;
         self.state.seconds += begin.elapsed().as_secs_f64();
 
         let log_sigma = self.state.policy.log_sigma();
@@ -354,7 +354,7 @@ impl Trainer {
             evaluation,
             is_best,
             message_bytes,
-            message_s: (exchanged.time - traffic.time).as_secs_f64(),
+            message_s: exchanged.time.saturating_sub(traffic.time).as_secs_f64(),
         })
     }
 
@@ -386,7 +386,7 @@ impl Trainer {
                 rollout.diverged,
             )
         });
-        let mut summaries = team.all(summaries.collect::<Vec<_>>(), concatenated)?;
+        let mut summaries = team.all(&summaries.collect::<Vec<_>>(), concatenated)?;
         summaries.sort_unstable_by_key(|(index, ..)| *index);
         let rollouts =
             summaries
@@ -415,7 +415,7 @@ fn breakdowns(deal: &Deal<'_>, batch: &[Trajectory]) -> Result<Vec<Diverged>, Te
         .filter_map(|(&index, t)| Some((index, t.diverged.clone()?)))
         .collect();
     broken.truncate(BREAKDOWNS);
-    let broken = deal.team().all(broken, |left, right| {
+    let broken = deal.team().all(&broken, |left, right| {
         let mut all = concatenated(left, right);
         all.sort_unstable_by_key(|(index, _)| *index);
         all.truncate(BREAKDOWNS);

@@ -34,7 +34,7 @@ pub(super) fn start_pool(
         .filter_map(|(&index, t)| Some((index, t.visited.clone()?)))
         .collect();
     good.truncate(LIMIT);
-    let pool = deal.team().all(good, |mut left, right| {
+    let pool = deal.team().all(&good, |mut left, right| {
         left.extend(right);
         left.sort_unstable_by_key(|(index, _)| *index);
         left.truncate(LIMIT);

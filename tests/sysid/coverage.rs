@@ -9,6 +9,7 @@ use phantom::rng::{self, Purpose};
 use phantom::sysid::fit::Start;
 use phantom::sysid::interval::Posterior;
 use phantom::sysid::joint::{JointSettings, solve};
+use phantom::sysid::norm::Norm;
 use phantom::sysid::parameter::ParameterRule;
 use phantom::sysid::problem::{ChannelRule, Problem, ProblemConfig};
 use rayon::prelude::*;
@@ -55,7 +56,9 @@ fn record(seed: u64, trial: u64, seconds: f64, noise: Noise) -> Recording {
     let mut rng = rng::stream(seed, Purpose::SensorNoise, trial, 0);
     let decay = (-h / noise.correlation_s).exp();
     let mut force = noise.force * rng::normal(&mut rng);
-    let phases: Vec<f64> = (0..4).map(|_| rng::uniform(&mut rng, 0.0, 6.28)).collect();
+    let phases: Vec<f64> = (0..4)
+        .map(|_| rng::uniform(&mut rng, 0.0, std::f64::consts::TAU))
+        .collect();
     for k in 0..(seconds / h) as i64 {
         let t = k as f64 * h;
         let u: f64 = ([1.0, 3.0, 7.0, 13.0].iter().zip(&phases))
@@ -88,7 +91,7 @@ fn config() -> ProblemConfig {
         channel: vec![ChannelRule {
             name: "*".into(),
             noise_sigma: Some(COUNT / 12_f64.sqrt()),
-            norm: Default::default(),
+            norm: Norm::default(),
             ignore: false,
         }],
         ..ProblemConfig::default()

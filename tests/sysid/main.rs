@@ -1,5 +1,10 @@
 //! System identification: planted truth comes back.
 
+#![allow(
+    clippy::print_stdout,
+    reason = "the long suites print what docs/sysid.md quotes"
+)]
+
 #[path = "../common/mod.rs"]
 mod common;
 mod coverage;

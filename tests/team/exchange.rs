@@ -157,7 +157,7 @@ fn nobody_waits_for_who_is_gone() {
         if team.rank() == 2 {
             return None;
         }
-        Some(team.all(1, |a: usize, b| a + b))
+        Some(team.all(&1, |a: usize, b| a + b))
     });
     // 3 was to send to 2; 0 was to receive from 2; 1 waits for 0
     assert!(results.iter().flatten().all(Result::is_err), "{results:?}");

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use super::super::{CliError, count};
+use super::super::{CliError, count, positive};
 use crate::compare::Settings;
 use crate::recording::{Binding, Recording, read_trials};
 use crate::sysid::SysidError;
@@ -50,6 +50,9 @@ pub(super) struct FitArgs {
     /// Seed of the draws
     #[arg(long, value_name = "S", default_value = "0")]
     pub(super) seed: u64,
+    /// Time step to identify with, s, in place of the model's; the interval between samples is often best
+    #[arg(long, value_name = "S", value_parser = positive)]
+    pub(super) timestep: Option<f64>,
     /// How to solve: by inverse dynamics, or by simulating windows
     #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,

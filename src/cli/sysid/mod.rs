@@ -4,6 +4,7 @@ mod arguments;
 mod design;
 mod write;
 
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,6 +16,7 @@ use indicatif::ProgressBar;
 use self::arguments::FitArgs;
 use super::{CliError, interruption, load_model, model_path, read_toml};
 use crate::compare::Settings;
+use crate::mujoco::Model;
 use crate::sysid::fit::{Iteration, Start};
 use crate::sysid::problem::{Problem, ProblemConfig};
 use crate::sysid::summary::{Outcome, Summary};
@@ -106,9 +108,26 @@ impl Watch {
 }
 
 impl FitArgs {
+    fn load(&self, path: &Path) -> Result<Model, CliError> {
+        let mut model = load_model(path)?;
+        if let Some(timestep) = self.timestep {
+            if model.extension().is_some() {
+                // what it remembers is counted in steps
+                return Err(CliError::File {
+                    file: path.to_owned(),
+                    reason: "a model with supplements keeps its time step: change it in the file instead of by \
+                             --timestep"
+                        .to_owned(),
+                });
+            }
+            model.edit().set_timestep(timestep)?;
+        }
+        Ok(model)
+    }
+
     fn run(&self) -> Result<ExitCode, CliError> {
         let path = model_path(self.model.as_deref());
-        let model = Arc::new(load_model(&path)?);
+        let model = Arc::new(self.load(&path)?);
         let config: ProblemConfig = read_toml(self.parameters())?;
         let method = self.method()?;
         let rollouts: Settings = match &self.protocol {

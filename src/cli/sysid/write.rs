@@ -60,7 +60,7 @@ impl Folder {
         outcome: &Outcome,
         summary: &Summary,
     ) -> Result<Written, CliError> {
-        let model = self.model(problem, fit, summary)?;
+        let model = self.model(problem, fit, summary, args.timestep)?;
         self.motions(problem, fit, outcome)?;
         let draws = ensemble::draw(
             &problem.parameters,
@@ -97,12 +97,18 @@ impl Folder {
     }
 
     /// The model file with the identified numbers.
-    fn model(&self, problem: &Problem, fit: &Fit, summary: &Summary) -> Result<PathBuf, CliError> {
+    fn model(
+        &self,
+        problem: &Problem,
+        fit: &Fit,
+        summary: &Summary,
+        timestep: Option<f64>,
+    ) -> Result<PathBuf, CliError> {
         let identified = ensemble::model_at(&problem.model, &problem.parameters, &fit.x)?;
         let names: Vec<&str> = summary.recordings.iter().map(|r| r.name.as_str()).collect();
         let header = format!(
             "Identified by phantom sysid {} from {}: parameters of {} adjusted to {}. \
-             Intervals and residuals are in sysid.json.",
+             Intervals and residuals are in sysid.json.{}",
             env!("CARGO_PKG_VERSION"),
             self.model_file
                 .file_name()
@@ -110,6 +116,9 @@ impl Folder {
                 .to_string_lossy(),
             problem.parameters.all.len(),
             names.join(", "),
+            timestep.map_or_else(String::new, |s| format!(
+                " Identified with a time step of {s} s."
+            )),
         );
         let targets = problem.parameters.targets();
         let text = rewrite(&self.text, &identified, &targets, &header)

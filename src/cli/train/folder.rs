@@ -35,18 +35,15 @@ impl Folder {
     ) -> Result<Self, CliError> {
         let columns = columns(trainer);
         let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
-        let (dir, metrics) = match &arguments.resume {
-            Some(folder) => {
-                let dir = RunDir::open(folder)?;
-                let iteration = trainer.checkpoint().iteration;
-                let metrics = Metrics::resume(dir.path(), &columns, iteration)?;
-                (dir, metrics)
-            }
-            None => {
-                let dir = create(arguments, plan, trainer)?;
-                let metrics = Metrics::create(dir.path(), &columns)?;
-                (dir, metrics)
-            }
+        let (dir, metrics) = if let Some(folder) = &arguments.resume {
+            let dir = RunDir::open(folder)?;
+            let iteration = trainer.checkpoint().iteration;
+            let metrics = Metrics::resume(dir.path(), &columns, iteration)?;
+            (dir, metrics)
+        } else {
+            let dir = create(arguments, plan, trainer)?;
+            let metrics = Metrics::create(dir.path(), &columns)?;
+            (dir, metrics)
         };
         Ok(Self {
             dir,

@@ -134,7 +134,7 @@ impl TrainArgs {
             };
             steps += record.physics_steps;
             message_bytes = record.message_bytes;
-            let stop = team.all(interrupted.load(Ordering::SeqCst), |a, b| a || b)?;
+            let stop = team.all(&interrupted.load(Ordering::SeqCst), |a, b| a || b)?;
             let last = record.iteration == total || stop;
             let saved = folder.as_mut().map(|f| f.save(&trainer, &record, last));
             agree(team, saved.transpose())?;

@@ -157,7 +157,9 @@ impl Point<'_> {
                     .map(|(m, b)| (m.0 - b.0) / step)
                     .collect();
                 let mut end = moved.end.minus(&base.end, self.problem)?;
-                end.iter_mut().for_each(|e| *e /= step);
+                for e in &mut end {
+                    *e /= step;
+                }
                 Ok((samples, end))
             })
             .collect()

@@ -167,7 +167,7 @@ impl<'a> Descent<'a> {
             let dx = self.parameter_step(&arrows);
             let length = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
             let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
-            let changes = self.changes(&arrows, &dx);
+            let changes = changes(&arrows, &dx);
             let best = self.best(&x, &changes)?;
             if let Some(taken) = best.filter(|taken| taken.cost <= cost) {
                 return Ok(Some(Taken { length, ..taken }));
@@ -286,11 +286,6 @@ impl<'a> Descent<'a> {
         solve_in_box(&normal, &right, &low, &high)
     }
 
-    /// Changes of all states (windows × 2 nv) for a step of the parameters.
-    fn changes(&self, arrows: &[Arrow], dx: &[f64]) -> Vec<f64> {
-        arrows.iter().flat_map(|a| a.back_substitute(dx)).collect()
-    }
-
     /// States after a part of their changes.
     fn moved(&self, changes: &[f64], part: f64) -> Result<Vec<State>, SysidError> {
         let n_state = 2 * self.problem.model.nv();
@@ -353,12 +348,12 @@ impl<'a> Descent<'a> {
     /// need. Their information is the same.
     fn innovations(&self, rows: &[Rows], arrows: &[Arrow]) -> Innovations {
         let (n_state, np) = (2 * self.problem.model.nv(), self.x.len());
-        let origin = self.changes(arrows, &vec![0.0; np]);
+        let origin = changes(arrows, &vec![0.0; np]);
         let by_x: Vec<Vec<f64>> = (0..np)
             .map(|j| {
                 let mut unit = vec![0.0; np];
                 unit[j] = 1.0;
-                self.changes(arrows, &unit)
+                changes(arrows, &unit)
                     .iter()
                     .zip(&origin)
                     .map(|(c, o)| c - o)
@@ -386,4 +381,9 @@ impl<'a> Descent<'a> {
         }
         innovations
     }
+}
+
+/// Changes of all states (windows × 2 nv) for a step of the parameters.
+fn changes(arrows: &[Arrow], dx: &[f64]) -> Vec<f64> {
+    arrows.iter().flat_map(|a| a.back_substitute(dx)).collect()
 }

@@ -15,7 +15,7 @@
 //!
 //! It serves where inverse dynamics is ill-suited: a joint at rest under dry friction, impacts shorter than a sample,
 //! actuators with a state. Per iteration and window it costs one simulation an unknown (2 nv + parameters), all in
-//! parallel; the states are eliminated as in the joint estimator ([`super::arrow`]).
+//! parallel; the states are eliminated as in the joint estimator (module `arrow`).
 //!
 //! | symbol | name |
 //! | --- | --- |

@@ -109,11 +109,10 @@ impl Point<'_> {
             let weight = channel.norm.weight(r).sqrt();
             let factor = weight / channel.sigma;
             let row = rows.add(window.first + p.knot);
-            for j in 0..n_state {
-                row[j] = factor * gain * columns.samples[j][i];
-            }
-            for j in 0..np {
-                row[2 * n_state + j] = factor * gain * columns.samples[n_state + j][i];
+            let (own, rest) = row.split_at_mut(n_state);
+            let unknowns = own.iter_mut().chain(&mut rest[n_state..n_state + np]);
+            for (out, column) in unknowns.zip(&columns.samples) {
+                *out = factor * gain * column[i];
             }
             for (setting, derivative) in [
                 (channel.bias, 1.0),
