@@ -137,6 +137,6 @@ fn busy_s() -> Result<f64, std::io::Error> {
     Ok(1e-9 * nanoseconds.unwrap_or(f64::NAN))
 }
 
-fn fastest(times: impl Iterator<Item = Result<f64, Failure>>) -> Result<f64, Failure> {
+fn fastest(mut times: impl Iterator<Item = Result<f64, Failure>>) -> Result<f64, Failure> {
     times.try_fold(f64::INFINITY, |fastest, time| Ok(fastest.min(time?)))
 }
