@@ -14,6 +14,7 @@ use super::edit::body_inertia;
 use crate::mujoco::Model;
 
 /// A replacement of a piece of the text.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Splice {
     pub(super) range: Range<usize>,
     pub(super) text: String,
@@ -299,16 +300,14 @@ pub(super) fn set(
     others: &[&str],
     splices: &mut Vec<Splice>,
 ) {
-    let mut new = String::new();
+    let mut new = Vec::new();
     for (name, value) in attributes {
         match node.attribute_node(*name) {
             Some(old) => splices.push(Splice {
                 range: old.range_value(),
                 text: value.clone(),
             }),
-            None => {
-                let _ = write!(new, " {name}=\"{value}\"");
-            }
+            None => new.push(format!(" {name}=\"{value}\"")),
         }
     }
     for other in others {
@@ -328,10 +327,10 @@ pub(super) fn set(
             .map(|a| a.range().end)
             .max()
             .unwrap_or(tag);
-        splices.push(Splice {
+        splices.extend(new.into_iter().map(|text| Splice {
             range: at..at,
-            text: new,
-        });
+            text,
+        }));
     }
 }
 
@@ -339,7 +338,11 @@ pub(super) fn apply(xml: &str, mut splices: Vec<Splice>) -> String {
     splices.sort_by_key(|s| (s.range.start, s.range.end));
     let mut out = String::with_capacity(xml.len() + 200);
     let mut at = 0;
-    for splice in splices {
+    for (i, splice) in splices.iter().enumerate() {
+        // two targets may be written into one attribute: the size of a geom and that of its body
+        if splices[..i].contains(splice) {
+            continue;
+        }
         out.push_str(&xml[at..splice.range.start.max(at)]);
         out.push_str(&splice.text);
         at = splice.range.end.max(at);

@@ -18,6 +18,10 @@ use nalgebra::{Matrix3, Vector3};
 const SEARCH: [f64; 3] = [1.0, 0.25, 0.06];
 /// Variance of a state of which nothing is known, in units of the signal's largest.
 const DIFFUSE: f64 = 1e2;
+/// Samples that say where a signal begins.
+const FIRST: usize = 8;
+/// Factor on the variance of what they say, as they are used again.
+const WIDER: f64 = 1e3;
 
 /// Position, velocity and acceleration with their covariance.
 #[derive(Debug, Clone, Copy)]
@@ -43,7 +47,7 @@ pub(super) fn smooth(
     events.extend(times.map(|t| (t, None)));
     events.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.is_some().cmp(&a.1.is_some())));
     let mut filtered = Vec::with_capacity(events.len());
-    let mut belief = first.belief;
+    let mut belief = first.sharpened(samples, sigma, q);
     let mut time = events[0].0;
     for &(t, y) in &events {
         let predicted = predict(&belief, t - time, q);
@@ -108,6 +112,31 @@ impl Prior {
             belief,
             q: size * size / span.powi(5),
         })
+    }
+
+    /// The belief before the first sample, from the first few themselves, much widened: next to a belief as wide as the
+    /// signal, exact samples would drown in rounding.
+    fn sharpened(&self, samples: &[(f64, f64)], sigma: f64, q: f64) -> Belief {
+        // time runs backwards: so does the sign of the velocity
+        let turn = |b: Belief| {
+            let s = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
+            Belief {
+                mean: s * b.mean,
+                covariance: s * b.covariance * s,
+            }
+        };
+        let few = &samples[..samples.len().min(FIRST)];
+        let mut belief = self.belief;
+        let mut time = few[few.len() - 1].0;
+        for &(t, y) in few.iter().rev() {
+            belief = update(&predict(&belief, time - t, q), y, sigma).0;
+            time = t;
+        }
+        let belief = turn(belief);
+        Belief {
+            covariance: belief.covariance * WIDER,
+            ..belief
+        }
     }
 
     fn most_likely(&self, samples: &[(f64, f64)], sigma: f64) -> f64 {
