@@ -59,24 +59,32 @@ impl<'a> Solver<'a> {
         watch: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Status, SysidError> {
         let mut small = 0;
+        let mut linear = self.linearise()?;
         for _ in 0..limit {
-            let linear = self.linearise()?;
-            let mut cost = f64::INFINITY;
+            let mut before = f64::INFINITY;
             let mut taken = None;
             while taken.is_none() && self.damping <= MOST_DAMPING {
                 let (arrows, dx, present) = self.step(&linear, self.damping);
-                cost = present;
+                before = present;
                 let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
                 let moved = self.moved(&arrows, &dx)?;
                 // a trial step may leave what the engine accepts: then it is no step
                 let new = self.cost(&x, &moved, &linear).unwrap_or(f64::INFINITY);
-                if new.is_finite() && new <= cost {
-                    taken = Some((x, moved, new, dx));
-                } else {
-                    self.damping *= if self.damping < 1e-6 { 1e3 } else { 10.0 };
+                if new.is_finite() && new <= before {
+                    // what a force is in motion changes along the way; it has to be less where the step ends, too
+                    let old = (
+                        std::mem::replace(&mut self.x, x),
+                        std::mem::replace(&mut self.trajectories, moved),
+                    );
+                    if let Some((there, cost)) = self.linearised()?.filter(|t| t.1 <= before) {
+                        taken = Some((there, cost, dx));
+                        continue;
+                    }
+                    (self.x, self.trajectories) = old;
                 }
+                self.damping *= if self.damping < 1e-6 { 1e3 } else { 10.0 };
             }
-            let Some((x, moved, new, dx)) = taken else {
+            let Some((there, cost, dx)) = taken else {
                 self.damping = FIRST_DAMPING;
                 return Ok(if small > 0 {
                     Status::Converged
@@ -84,9 +92,8 @@ impl<'a> Solver<'a> {
                     Status::Stalled
                 });
             };
-            let decrease = (cost - new) / cost.max(f64::MIN_POSITIVE);
-            (self.x, self.trajectories) = (x, moved);
-            let cost = new;
+            linear = there;
+            let decrease = (before - cost) / before.max(f64::MIN_POSITIVE);
             let step = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
             let record = Iteration {
                 level,
@@ -107,6 +114,15 @@ impl<'a> Solver<'a> {
             }
         }
         Ok(Status::MaxIterations)
+    }
+
+    /// The present point linearised, and its cost; `None` where the engine does not accept it.
+    fn linearised(&self) -> Result<Option<(Vec<Blocks>, f64)>, SysidError> {
+        let Ok(linear) = self.linearise() else {
+            return Ok(None);
+        };
+        let cost = self.cost(&self.x, &self.trajectories, &linear)?;
+        Ok(cost.is_finite().then_some((linear, cost)))
     }
 
     fn linearise(&self) -> Result<Vec<Blocks>, SysidError> {
