@@ -14,6 +14,8 @@ use super::problem::Problem;
 const FIRST_DAMPING: f64 = 1e-3;
 const LEAST_DAMPING: f64 = 1e-9;
 const MOST_DAMPING: f64 = 1e8;
+/// Cost by the forces where a step ends, over that where it began, up to which it is taken.
+const GROWTH: f64 = 1.5;
 
 /// The present point of the descent.
 pub(super) struct Solver<'a> {
@@ -71,12 +73,14 @@ impl<'a> Solver<'a> {
                 // a trial step may leave what the engine accepts: then it is no step
                 let new = self.cost(&x, &moved, &linear).unwrap_or(f64::INFINITY);
                 if new.is_finite() && new <= before {
-                    // what a force is in motion changes along the way; it has to be less where the step ends, too
+                    // what a force is in motion changes along the way: where the step ends, it may be a little more
                     let old = (
                         std::mem::replace(&mut self.x, x),
                         std::mem::replace(&mut self.trajectories, moved),
                     );
-                    if let Some((there, cost)) = self.linearised()?.filter(|t| t.1 <= before) {
+                    if let Some((there, cost)) =
+                        self.linearised()?.filter(|t| t.1 <= GROWTH * before)
+                    {
                         taken = Some((there, cost, dx));
                         continue;
                     }

@@ -84,6 +84,14 @@ impl State {
         // the velocity after the knot: before it, the motion may be another window's
         let next = knot(window.first + 1);
         model.differentiate_pos(&mut qvel, h, knot(window.first), next)?;
+        if window.first == 0 && window.last > 1 {
+            // at rest or not, the first velocity is a step before that
+            let mut later = vec![0.0; model.nv()];
+            model.differentiate_pos(&mut later, h, next, knot(2))?;
+            for (v, later) in qvel.iter_mut().zip(&later) {
+                *v = 2.0 * *v - later;
+            }
+        }
         Ok(Self {
             qpos: knot(window.first).to_vec(),
             qvel,
