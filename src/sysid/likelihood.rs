@@ -28,12 +28,17 @@ const FIRST_LEVEL: f64 = 1.0;
 const BEFORE_FINER: f64 = 0.1;
 /// Loss of likelihood a sample (nats) that counts as roughness.
 const ROUGH: f64 = 5e-3;
+/// Loss of likelihood a sample (nats) that shows that the motion is lost.
+const LOST: f64 = 2e-2;
 /// Gain of a step (nats) below which it need not be taken.
 const NO_GAIN: f64 = 0.05;
 /// Gain of likelihood (nats) for which a lower level or a finer noise is taken.
 const WORTH: f64 = 2.0;
-/// Steps at a level, and at the last.
+/// Steps at a level.
 const STEPS: usize = 4;
+/// Steps that a finer noise has to last without losing the motion.
+const FINER_STEPS: usize = 8;
+/// Steps at the last level.
 const LAST_STEPS: usize = 16;
 /// Steps whose targets are averaged.
 const AVERAGED: usize = 12;
@@ -164,11 +169,12 @@ impl Likelihood<'_> {
         let mut targets: Vec<Vec<f64>> = Vec::new();
         let (mut rough, mut before) = (false, f64::INFINITY);
         let mut status = Status::MaxIterations;
+        let rough_nats = if below.is_finite() { LOST } else { ROUGH };
         for _ in 0..limit {
             let pass = self.pass(&x, level, noise)?;
             let worse = |p: &Pass| {
                 best.as_ref()
-                    .is_some_and(|(_, b)| p.nll > b.nll + ROUGH * b.n as f64)
+                    .is_some_and(|(_, b)| p.nll > b.nll + rough_nats * b.n as f64)
             };
             let lost = |p: &Pass| best.is_none() && p.nll > below;
             let Some(pass) = pass.filter(|p| !worse(p) && !lost(p)) else {
@@ -270,7 +276,13 @@ impl Likelihood<'_> {
         };
         let mut settled = 0;
         while noise > finest {
-            let found = self.climb(&best.x, best.level, noise * FINER, (STEPS, best.nll), watch)?;
+            let found = self.climb(
+                &best.x,
+                best.level,
+                noise * FINER,
+                (FINER_STEPS, best.nll),
+                watch,
+            )?;
             match found.filter(|f| f.nll < best.nll - WORTH) {
                 Some(found) => {
                     best = found;
