@@ -41,6 +41,9 @@ enum Law {
         stiffness: f64,
         rest: f64,
     },
+    Cubic {
+        stiffness: f64,
+    },
     Coupling {
         stiffness: f64,
         other: usize,
@@ -76,10 +79,14 @@ enum Level {
     Load {
         coefficient: f64,
     },
+    Map {
+        torque: f64,
+        per_turn: f64,
+    },
 }
 
 impl Level {
-    fn at(self, velocity: f64, load: f64) -> f64 {
+    fn at(self, position: f64, velocity: f64, load: f64) -> f64 {
         match self {
             Self::Coulomb { torque } => torque,
             Self::Asymmetric {
@@ -98,6 +105,7 @@ impl Level {
                 speed,
             } => torque + excess * (-(velocity / speed).powi(2)).exp(),
             Self::Load { coefficient } => coefficient * load.abs(),
+            Self::Map { torque, per_turn } => torque * (1.0 + (per_turn * position).sin()),
         }
     }
 }
@@ -121,10 +129,11 @@ impl Term {
             Law::Friction { level, bend } => {
                 let damped = *bend + STICK_DAMPING_S * v / PRESLIDING;
                 *bend = (*bend + v * motion.step_s / PRESLIDING).clamp(-1.0, 1.0);
-                -level.at(v, motion.load[self.dof]) * damped.clamp(-1.0, 1.0)
+                -level.at(q, v, motion.load[self.dof]) * damped.clamp(-1.0, 1.0)
             }
             Law::Drag { drag } => -*drag * v * v.abs(),
             Law::Spring { stiffness, rest } => -*stiffness * (q - *rest),
+            Law::Cubic { stiffness } => -*stiffness * q.powi(3),
             Law::Coupling { stiffness, other } => -*stiffness * (q - motion.qpos[*other]),
             Law::Offset { torque } => *torque,
             Law::Cogging {
@@ -173,6 +182,11 @@ pub(in crate::rig) fn terms(model: &Model, bound: &Bound) -> Result<Vec<Term>, S
                 stiffness: v(0),
                 rest: v(1),
             },
+            Effect::FrictionMap => friction(Level::Map {
+                torque: v(0),
+                per_turn: v(1),
+            }),
+            Effect::CubicSpring => Law::Cubic { stiffness: v(0) },
             Effect::TorqueOffset => Law::Offset { torque: v(0) },
             Effect::Cogging => Law::Cogging {
                 amplitude: v(0),

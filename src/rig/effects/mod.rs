@@ -9,6 +9,8 @@
 //! | torques and altered controls | `joint`, `drive`, `transmission`, `contact` | every inner step |
 //! | the samples | `sensing` | every sample |
 //!
+//! `friction_map` and `cubic_spring` are not in the catalogue of [`crate::gap`]: they are there to be called unknown.
+//!
 //! Friction, springs, stops, lag and play are written here from their own equations, not with the engine's elements of
 //! the same purpose: what looks for an effect must not meet its own code.
 
@@ -187,6 +189,10 @@ catalogue! {
         [share "1" 0.2 0.8 None;]
     FingertipRadius "fingertip_radius" Geom "size of a geom + d"
         [change_m "m" 0.0005 0.002 None;]
+    FrictionMap "friction_map" Joint "torque -c (1 + sin(n q)) sgn v: friction that depends on the place"
+        [torque_nm "N m" 0.01 0.04 None; per_turn "1" 6.0 12.0 Some(8.0);]
+    CubicSpring "cubic_spring" Joint "torque -k q^3"
+        [stiffness_nm_rad3 "N m/rad^3" 0.3 3.0 None;]
     LengthScale "length_scale" Body "place of a body in its parent times 1 + s"
         [share "1" 0.005 0.03 None;]
 }
