@@ -1,19 +1,26 @@
 //! Reports: one HTML page that needs no network, the same charts as SVG files, the same tables as text.
 //!
 //! ```text
-//! Report ── Section ── Block = Text | Table | Chart
+//! Report ── Section ── Block = Text | Table | Chart | Figure
 //! ```
 //!
 //! A [`Chart`] is described once and drawn twice: by uPlot (zoom by dragging, values under the pointer, series
 //! switched by a click), whose source is part of the page, and by plotters as a static figure. The page forbids
-//! itself every request by a content security policy. All text is escaped.
+//! itself every request by a content security policy. All text is escaped. What is no set of curves over one abscissa is a
+//! [`Figure`], the same drawing in the page and in its file; a [`Rasteriser`] makes PNG of any of them.
 
 mod chart;
+mod figure;
+mod heat_map;
 mod page;
+mod panels;
+mod png;
 mod svg;
 mod table;
 
 pub use chart::{Axis, Chart, Line, Series};
+pub use figure::{Curve, Drawing, Figure, HeatBlock, HeatMap, Panel, Panels, Stroke};
+pub use png::Rasteriser;
 pub use table::{Table, number};
 
 use thiserror::Error;
@@ -46,6 +53,11 @@ pub enum ReportError {
         /// cells
         got: usize,
     },
+    /// No font is installed.
+    #[error(
+        "no font is installed, so that pictures would be without words (Debian: fonts-dejavu-core)"
+    )]
+    NoFont,
     /// The figure could not be drawn.
     #[error("chart `{chart}`: {reason}")]
     Draw {
@@ -63,8 +75,10 @@ pub enum Block {
     Text(String),
     /// numbers
     Table(Table),
-    /// a drawing
+    /// curves over one abscissa, which can be zoomed
     Chart(Chart),
+    /// any other drawing
+    Figure(Figure),
 }
 
 /// A headed part of a report.
@@ -114,6 +128,26 @@ impl Section {
         self.blocks.push(Block::Chart(chart));
         self
     }
+
+    /// Add a figure.
+    #[must_use]
+    pub fn figure(mut self, figure: Figure) -> Self {
+        self.blocks.push(Block::Figure(figure));
+        self
+    }
+}
+
+impl Figure {
+    /// The drawing as an SVG document.
+    ///
+    /// # Errors
+    /// It has a wrong number of values, or cannot be drawn.
+    pub fn svg(&self) -> Result<String, ReportError> {
+        match &self.drawing {
+            Drawing::Panels(panels) => panels::draw(&self.title, panels),
+            Drawing::HeatMap(map) => heat_map::draw(&self.title, map),
+        }
+    }
 }
 
 impl Report {
@@ -151,22 +185,26 @@ impl Report {
     /// A series or a row has the wrong length.
     pub fn html(&self) -> Result<String, ReportError> {
         self.check()?;
-        Ok(page::render(self))
+        page::render(self)
     }
 
-    /// Name and content of a static figure for every chart: `01-title.svg`, …
+    /// Name and content of a static figure for every chart: `01-title.svg`, …; other figures have their own names.
     ///
     /// # Errors
     /// A series has the wrong length, or the figure cannot be drawn.
     pub fn figures(&self) -> Result<Vec<(String, String)>, ReportError> {
         self.check()?;
-        self.charts()
-            .enumerate()
-            .map(|(i, chart)| {
-                let name = format!("{:02}-{}.svg", i + 1, slug(&chart.title));
-                Ok((name, svg::draw(chart)?))
-            })
-            .collect()
+        let charts = self.charts().enumerate().map(|(i, chart)| {
+            let name = format!("{:02}-{}.svg", i + 1, slug(&chart.title));
+            Ok((name, svg::draw(chart)?))
+        });
+        let others = self.blocks().filter_map(|block| match block {
+            Block::Figure(figure) => Some(figure),
+            _ => None,
+        });
+        let others =
+            others.map(|figure| Ok((format!("{}.svg", slug(&figure.name)), figure.svg()?)));
+        charts.chain(others).collect()
     }
 
     fn check(&self) -> Result<(), ReportError> {

@@ -4,7 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
 use super::chart::{Axis, Chart, Line};
-use super::{Block, Report, Table};
+use super::{Block, Report, ReportError, Table};
 
 // npm package uplot 1.6.32, MIT; licence text beside it and in the page
 const UPLOT_JS: &str = include_str!("assets/uPlot.iife.min.js");
@@ -28,7 +28,7 @@ pub(super) const COLOURS: [(u8, u8, u8); 7] = [
     (86, 180, 233),
 ];
 
-pub(super) fn render(report: &Report) -> String {
+pub(super) fn render(report: &Report) -> Result<String, ReportError> {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -47,17 +47,17 @@ pub(super) fn render(report: &Report) -> String {
                 @for section in &report.sections {
                     section {
                         h2 { (section.heading) }
-                        @for block in &section.blocks { (render_block(block)) }
+                        @for block in &section.blocks { (render_block(block)?) }
                     }
                 }
             }
         }
     };
-    page.into_string()
+    Ok(page.into_string())
 }
 
-fn render_block(block: &Block) -> Markup {
-    match block {
+fn render_block(block: &Block) -> Result<Markup, ReportError> {
+    Ok(match block {
         Block::Text(text) => html! { p { (text) } },
         Block::Table(table) => render_table(table),
         Block::Chart(chart) => html! {
@@ -67,7 +67,14 @@ fn render_block(block: &Block) -> Markup {
                 script { (PreEscaped(format!("phantomChart({})", script_json(&description(chart))))) }
             }
         },
-    }
+        Block::Figure(figure) => html! {
+            figure {
+                figcaption { (figure.title) }
+                div.drawing { (PreEscaped(figure.svg()?)) }
+                p { (figure.caption) }
+            }
+        },
+    })
 }
 
 fn render_table(table: &Table) -> Markup {

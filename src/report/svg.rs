@@ -28,7 +28,7 @@ where
     let mut text = String::new();
     {
         let root = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        root.fill(&WHITE).map_err(|e| failed(chart, &e))?;
+        root.fill(&WHITE).map_err(|e| failed(&chart.title, &e))?;
         let (first, last) = ends(&chart.x);
         let mut context = ChartBuilder::on(&root)
             .caption(&chart.title, ("sans-serif", 18))
@@ -36,7 +36,7 @@ where
             .x_label_area_size(42)
             .y_label_area_size(78)
             .build_cartesian_2d(first..last, y)
-            .map_err(|e| failed(chart, &e))?;
+            .map_err(|e| failed(&chart.title, &e))?;
         context
             .configure_mesh()
             .x_desc(&chart.x_label)
@@ -44,7 +44,7 @@ where
             .y_label_formatter(&|v| tick(*v))
             .light_line_style(TRANSPARENT)
             .draw()
-            .map_err(|e| failed(chart, &e))?;
+            .map_err(|e| failed(&chart.title, &e))?;
         let drawn = chart.drawn();
         for (i, series) in chart.series.iter().enumerate() {
             let (r, g, b) = COLOURS[i % COLOURS.len()];
@@ -59,12 +59,12 @@ where
                         .draw_series(run.into_iter().map(|p| Circle::new(p, 2, colour.filled())))
                         .map(drop),
                 };
-                result.map_err(|e| failed(chart, &e))?;
+                result.map_err(|e| failed(&chart.title, &e))?;
             }
             // the legend's entry, whether or not there is a point
             context
                 .draw_series(LineSeries::new(std::iter::empty(), colour))
-                .map_err(|e| failed(chart, &e))?
+                .map_err(|e| failed(&chart.title, &e))?
                 .label(&series.label)
                 .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour));
         }
@@ -74,15 +74,15 @@ where
             .background_style(WHITE.mix(0.8))
             .border_style(BLACK.mix(0.3))
             .draw()
-            .map_err(|e| failed(chart, &e))?;
-        root.present().map_err(|e| failed(chart, &e))?;
+            .map_err(|e| failed(&chart.title, &e))?;
+        root.present().map_err(|e| failed(&chart.title, &e))?;
     }
     Ok(text)
 }
 
-fn failed(chart: &Chart, error: &impl Display) -> ReportError {
+pub(super) fn failed(chart: &str, error: &impl Display) -> ReportError {
     ReportError::Draw {
-        chart: chart.title.clone(),
+        chart: chart.to_owned(),
         reason: error.to_string(),
     }
 }
@@ -125,7 +125,7 @@ fn range(chart: &Chart) -> (f64, f64) {
 }
 
 /// A number beside the axis.
-fn tick(value: f64) -> String {
+pub(super) fn tick(value: f64) -> String {
     let size = value.abs();
     if size == 0.0 {
         "0".to_owned()
