@@ -6,6 +6,7 @@
 //! ```text
 //! main → cli → {train, bench} → {npg, rollout, evaluate, run_dir}
 //!        cli → {compare, rig} → {report, recording, rollout}
+//!        cli → reproduce → {train, compare, rig, report}
 //!                  rollout → {task, policy, exploration, randomise, rng} → mujoco → mujoco_sys
 //! ```
 //!
@@ -34,6 +35,7 @@ pub mod policy;
 pub mod randomise;
 pub mod recording;
 pub mod report;
+pub mod reproduce;
 pub mod rig;
 pub mod rng;
 pub mod rollout;

@@ -12,6 +12,7 @@ use crate::policy::PolicyError;
 use crate::randomise::RandomiseError;
 use crate::recording::RecordingError;
 use crate::report::ReportError;
+use crate::reproduce::ReproduceError;
 use crate::rig::RigError;
 use crate::rollout::RolloutError;
 use crate::run_dir::RunDirError;
@@ -21,6 +22,7 @@ use crate::task::TaskError;
 use crate::team::TeamError;
 use crate::train::TrainError;
 use crate::train::config::SettingError;
+use crate::train::folder::FolderError;
 
 /// A command's failure: one sentence that names file, key and reason.
 #[derive(Debug, Error)]
@@ -109,6 +111,9 @@ pub enum CliError {
     /// A report cannot be made.
     #[error(transparent)]
     Report(#[from] ReportError),
+    /// An experiment cannot be repeated.
+    #[error(transparent)]
+    Reproduce(Box<ReproduceError>),
     /// A change of the model is impossible.
     #[error("cannot set `{change}`: {reason}")]
     Change {
@@ -117,6 +122,28 @@ pub enum CliError {
         /// what is wrong
         reason: String,
     },
+}
+
+impl From<FolderError> for CliError {
+    fn from(error: FolderError) -> Self {
+        match error {
+            FolderError::RunDir(error) => error.into(),
+            FolderError::Train(error) => error.into(),
+            FolderError::File { file, reason } => Self::File { file, reason },
+        }
+    }
+}
+
+impl From<ReproduceError> for CliError {
+    fn from(error: ReproduceError) -> Self {
+        match error {
+            ReproduceError::Folder(error) => error.into(),
+            ReproduceError::Train(error) => error.into(),
+            ReproduceError::Rollout(error) => error.into(),
+            ReproduceError::Mujoco(error) => error.into(),
+            other => Self::Reproduce(Box::new(other)),
+        }
+    }
 }
 
 impl CliError {

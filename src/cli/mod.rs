@@ -10,6 +10,7 @@ mod eval;
 mod record;
 mod recording;
 mod replay;
+mod reproduce;
 mod sysid;
 mod train;
 
@@ -21,6 +22,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use clap::{Parser, Subcommand};
 
 use crate::mujoco::Model;
+use crate::report::{Rasteriser, Report};
+use crate::run_dir;
 use crate::supplement::{self, SupplementError};
 pub use error::CliError;
 
@@ -55,6 +58,7 @@ enum Command {
     /// Run a trajectory again that broke down in training
     Replay(replay::ReplayArgs),
     Recording(recording::RecordingArgs),
+    Reproduce(reproduce::ReproduceArgs),
     Sysid(sysid::SysidArgs),
 }
 
@@ -72,6 +76,7 @@ impl Cli {
             Command::Replay(args) => args.run(),
             Command::Record(args) => args.run(),
             Command::Recording(args) => args.run(),
+            Command::Reproduce(args) => args.run(),
             Command::Sysid(args) => args.run(),
         }
     }
@@ -119,6 +124,23 @@ fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, CliError>
             reason: error.message().replace('\n', ", "),
         }
     })
+}
+
+/// Every figure of `report` as SVG and PNG in `folder`; without PNG where there is no font.
+fn write_figures(folder: &Path, report: &Report) -> Result<(), CliError> {
+    let rasteriser = Rasteriser::new();
+    if let Err(reason) = &rasteriser {
+        eprintln!("phantom: no PNG: {reason}");
+    }
+    for (name, svg) in report.figures()? {
+        let file = folder.join(&name);
+        run_dir::write_atomic(&file, svg.as_bytes())?;
+        if let Ok(rasteriser) = &rasteriser {
+            let png = rasteriser.png(&name, &svg)?;
+            run_dir::write_atomic(&file.with_extension("png"), &png)?;
+        }
+    }
+    Ok(())
 }
 
 /// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once. `message` says what is done before the end.

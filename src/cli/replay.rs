@@ -5,10 +5,10 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-use super::train::Dump;
 use super::{CliError, load_model};
 use crate::run_dir;
 use crate::train::Trainer;
+use crate::train::folder::Dump;
 
 /// Run a trajectory again that broke down in training
 ///

@@ -22,11 +22,13 @@ pub mod forces;
 mod memory;
 pub mod policy;
 pub mod rollouts;
+mod seeded;
 pub mod settings;
 mod start;
 mod states;
 
 pub use error::CompareError;
+pub use seeded::{Seeded, seeded};
 pub use settings::Settings;
 
 pub use states::States;

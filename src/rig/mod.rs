@@ -19,6 +19,7 @@ mod estimate;
 mod family;
 mod plant;
 mod sensing;
+pub mod tracking;
 mod truth;
 
 pub use axes::{Axis, axes};
@@ -216,6 +217,18 @@ impl Rig {
     /// What is true of the machine.
     pub fn truth(&self) -> &Truth {
         &self.truth
+    }
+
+    /// The machine as a model, to train on what no real machine tells, and the names of effects it cannot express.
+    ///
+    /// # Errors
+    /// When the engine refuses.
+    pub fn true_model(&self) -> Result<(Model, Vec<&'static str>), RigError> {
+        Ok(truth::as_model(
+            &self.nominal,
+            &self.truth_model,
+            &self.effects,
+        )?)
     }
 
     /// The model the machine is described by.

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::effects::{Bound, Place, kind};
-use crate::mujoco::{Model, ObjectKind};
+use super::effects::{Bound, Effect, Place, kind};
+use crate::mujoco::{Model, MujocoError, ObjectKind};
 
 /// The sealed truth of one machine.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -149,6 +149,49 @@ pub(super) fn effects(model: &Model, bound: &[Bound]) -> (Vec<TrueEffect>, Vec<T
         }
     }
     (effects, rows)
+}
+
+/// The machine as a model with the step and the integrator of `nominal`, and the effects that are not in it. Joint friction,
+/// which the rig has as torques, is there as the engine's own.
+pub(super) fn as_model(
+    nominal: &Model,
+    truth: &Model,
+    bound: &[Bound],
+) -> Result<(Model, Vec<&'static str>), MujocoError> {
+    let mut model = truth.try_clone()?;
+    let mut left_out = Vec::new();
+    let mut edit = model.edit();
+    let mut option = edit.model().option();
+    option.timestep = nominal.timestep();
+    option.integrator = nominal.option().integrator;
+    edit.set_option(&option)?;
+    for bound in bound {
+        let entry = bound.effect.entry();
+        for &joint in &bound.elements {
+            match bound.effect {
+                Effect::ViscousFriction => {
+                    let dof = edit.model().jnt_dofadr()[joint] as usize;
+                    edit.dof_damping()[dof] += bound.values[0];
+                }
+                Effect::CoulombFriction => {
+                    let dof = edit.model().jnt_dofadr()[joint] as usize;
+                    edit.dof_frictionloss()[dof] += bound.values[0];
+                }
+                _ => {}
+            }
+        }
+        let torque = matches!(entry.place, Place::Joint | Place::Actuator);
+        let in_model = matches!(
+            bound.effect,
+            Effect::ViscousFriction | Effect::CoulombFriction | Effect::RotorInertia
+        );
+        let sensed = matches!(bound.effect, Effect::EncoderOffset | Effect::EncoderScale);
+        if (torque && !in_model && !sensed) || bound.effect == Effect::TorsionalFriction {
+            left_out.push(entry.name);
+        }
+    }
+    edit.finish()?;
+    Ok((model, left_out))
 }
 
 /// `kind/name`, or the number of an element without a name.

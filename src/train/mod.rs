@@ -6,8 +6,10 @@
 
 mod batch_size;
 mod checkpoint;
+mod columns;
 pub mod config;
 mod error;
+pub mod folder;
 mod start_pool;
 
 use std::sync::Arc;
@@ -192,6 +194,18 @@ impl Trainer {
             }
         }
         self.state = checkpoint;
+        Ok(())
+    }
+
+    /// Begin with `policy` in place of zero weights; where it explores less than the settings ask for at the start, it
+    /// explores as they say.
+    ///
+    /// # Errors
+    /// When it does not fit the task; the trainer is then unchanged.
+    pub fn begin_with(&mut self, mut policy: AffineGaussian) -> Result<(), TrainError> {
+        policy.check(self.task.n_observation(), self.task.n_action())?;
+        policy.raise_log_sigma(self.config.npg.initial_log_sigma);
+        self.state.policy = policy;
         Ok(())
     }
 

@@ -1,7 +1,5 @@
 //! `phantom train`: the main job, by one process or by a team of them.
 
-mod columns;
-mod folder;
 mod plan;
 
 use std::path::{Path, PathBuf};
@@ -17,10 +15,10 @@ use serde::{Deserialize, Serialize};
 use super::{CliError, count, interruption, positive, thread_count};
 use crate::randomise::Ensemble;
 use crate::rollout::Diverged;
+use crate::run_dir::Provenance;
 use crate::team::Team;
-use crate::train::config::TrainConfig;
+use crate::train::folder::{POLICY_BEST, RunFolder};
 use crate::train::{Checkpoint, IterationRecord, Trainer};
-use folder::{Folder, POLICY_BEST};
 use plan::Plan;
 
 /// Train a policy by natural policy gradient
@@ -66,15 +64,6 @@ pub(super) struct TrainArgs {
     resume: Option<PathBuf>,
 }
 
-/// A dumped breakdown, all that `phantom replay` needs.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct Dump {
-    pub(super) model: PathBuf,
-    pub(super) config: TrainConfig,
-    pub(super) diverged: Diverged,
-}
-
 /// What `phantom sysid` writes for training.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -108,7 +97,7 @@ impl TrainArgs {
         let plan = agree(team, first.then(|| Plan::read(self)).transpose())?;
         let mut plan = team.from_first(plan)?;
         let mut trainer = agree(team, plan.trainer(team, self, thread_count(self.threads)))?;
-        let folder = first.then(|| Folder::open(self, &plan, &trainer));
+        let folder = first.then(|| self.open(&plan, &trainer));
         let mut folder = agree(team, folder.transpose())?;
 
         let interrupted = interruption("finishing this iteration");
@@ -137,7 +126,7 @@ impl TrainArgs {
             let stop = team.all(&interrupted.load(Ordering::SeqCst), |a, b| a || b)?;
             let last = record.iteration == total || stop;
             let saved = folder.as_mut().map(|f| f.save(&trainer, &record, last));
-            agree(team, saved.transpose())?;
+            agree(team, saved.transpose().map_err(CliError::from))?;
             if first {
                 let steps_per_s = steps as f64 / begin.elapsed().as_secs_f64();
                 show(&bar, &record, trainer.checkpoint(), steps_per_s);
@@ -151,6 +140,24 @@ impl TrainArgs {
             summarise(&trainer, folder.path(), message_bytes);
         }
         Ok(ExitCode::SUCCESS)
+    }
+}
+
+impl TrainArgs {
+    /// A new folder, or that of the run to be resumed.
+    fn open(&self, plan: &Plan, trainer: &Trainer) -> Result<RunFolder, CliError> {
+        if let Some(folder) = &self.resume {
+            return Ok(RunFolder::resume(folder, &plan.model, trainer)?);
+        }
+        let threads = trainer.sampler().threads().current_num_threads();
+        let provenance = Provenance::capture(threads, std::env::args());
+        let provenance = provenance.in_team(trainer.team().size());
+        let out = self.out.clone().unwrap_or_else(|| {
+            let digits = provenance.started.chars().filter(char::is_ascii_digit);
+            let date: String = digits.take(14).collect();
+            PathBuf::from(format!("runs/{date}-seed{}", trainer.config().train.seed))
+        });
+        Ok(RunFolder::create(out, &plan.model, trainer, &provenance)?)
     }
 }
 

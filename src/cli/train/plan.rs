@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::folder::{CHECKPOINT_FILE, CONFIG_FILE, MODEL_FILE, MODEL_PATH_FILE};
 use super::{EnsembleFile, TrainArgs, agree, read};
 use crate::cli::{CliError, load_model, model_path, read_toml};
 use crate::run_dir::RunDir;
 use crate::team::Team;
 use crate::train::config::TrainConfig;
+use crate::train::folder::{CHECKPOINT_FILE, CONFIG_FILE, MODEL_FILE, MODEL_PATH_FILE};
 use crate::train::{Checkpoint, Trainer};
 
 /// Settings, model and state to begin with.

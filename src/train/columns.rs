@@ -1,6 +1,6 @@
 //! The numbers of an iteration as a row of `metrics.csv`.
 
-use crate::train::{Checkpoint, IterationRecord, Trainer};
+use super::{Checkpoint, IterationRecord, Trainer};
 
 const FIXED_COLUMNS: [&str; 27] = [
     "physics_steps",
