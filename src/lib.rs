@@ -6,7 +6,7 @@
 //! ```text
 //! main → cli → {train, bench} → {npg, rollout, evaluate, run_dir}
 //!        cli → {compare, rig} → {report, recording, rollout}
-//!        cli → reproduce → {train, compare, rig, report}
+//!        cli → {reproduce, adapt} → {train, sysid, compare, rig, report}
 //!                  rollout → {task, policy, exploration, randomise, rng} → mujoco → mujoco_sys
 //! ```
 //!
@@ -21,6 +21,7 @@
 //! Every random number comes from a stream addressed by seed, purpose, iteration and trajectory ([`rng`]), and every
 //! sum over trajectories runs in a fixed order, so that results do not depend on the number of threads.
 
+pub mod adapt;
 pub mod bench;
 pub mod cli;
 pub mod compare;

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use thiserror::Error;
 
+use crate::adapt::AdaptError;
 use crate::compare::CompareError;
 use crate::mujoco::MujocoError;
 use crate::npg::NpgError;
@@ -111,6 +112,9 @@ pub enum CliError {
     /// A report cannot be made.
     #[error(transparent)]
     Report(#[from] ReportError),
+    /// A policy cannot be adapted.
+    #[error(transparent)]
+    Adapt(Box<AdaptError>),
     /// An experiment cannot be repeated.
     #[error(transparent)]
     Reproduce(Box<ReproduceError>),

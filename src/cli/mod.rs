@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 ran but the answer is no, 2 bad input, 3 `MuJoCo` fatal error.
 #![allow(clippy::print_stdout, clippy::print_stderr)] // what this module is for
 
+mod adapt;
 mod bench;
 mod compare;
 mod error;
@@ -59,6 +60,7 @@ enum Command {
     Replay(replay::ReplayArgs),
     Recording(recording::RecordingArgs),
     Reproduce(reproduce::ReproduceArgs),
+    Adapt(adapt::AdaptArgs),
     Sysid(sysid::SysidArgs),
 }
 
@@ -77,6 +79,7 @@ impl Cli {
             Command::Record(args) => args.run(),
             Command::Recording(args) => args.run(),
             Command::Reproduce(args) => args.run(),
+            Command::Adapt(args) => args.run(),
             Command::Sysid(args) => args.run(),
         }
     }

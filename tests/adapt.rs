@@ -1,0 +1,127 @@
+//! The loop in small: recordings, posterior, training, test; found again when it goes on.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use phantom::run_dir;
+use serde_json::Value;
+
+/// The forearms of one finger are heavier than the model says.
+const RIG: &str = "[physics]\nsubsteps = 1\n[sensing]\nencoder_steps_per_rad = 20000\n\
+    [[effect]]\nname = \"link_mass\"\nwhere = \"p0_forearm\"\nshare = 0.5\n";
+const PARAMETERS: &str =
+    "[[parameter]]\nelement = \"body/p0_forearm\"\nattribute = \"mass\"\nprior_sigma = 1.0\n";
+const SETTINGS: &str = "rounds = 1\nseconds = 0.1\nmodels = 4\nrollouts = 1\nidentify_timestep_s = 0.002\n\
+    identify_iterations = 5\n[training.train]\niterations = 1\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
+
+fn phantom(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_phantom"))
+        .current_dir(folder)
+        .env("PHANTOM_ROOT", env!("CARGO_MANIFEST_DIR"))
+        .args(args)
+        .output()
+        .expect("the program starts")
+}
+
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, text) in [
+        ("rig.toml", RIG),
+        ("parameters.toml", PARAMETERS),
+        ("adapt.toml", SETTINGS),
+        (
+            "small.toml",
+            "[train]\niterations = 1\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n",
+        ),
+    ] {
+        fs::write(folder.path().join(name), text).expect("writable");
+    }
+    let trained = phantom(
+        folder.path(),
+        &["train", "--config", "small.toml", "--out", "run"],
+    );
+    assert!(trained.status.success());
+    folder
+}
+
+const COMMON: [&str; 11] = [
+    "adapt",
+    "--rig",
+    "rig.toml",
+    "--policy",
+    "run/policy_last.json",
+    "--parameters",
+    "parameters.toml",
+    "--config",
+    "adapt.toml",
+    "--out",
+    "loop",
+];
+
+#[test]
+fn a_round_finds_the_mass_and_leaves_what_is_needed() {
+    let folder = folder();
+    let run = |more: &[&str]| phantom(folder.path(), &[&COMMON[..], more].concat());
+    let output = run(&[]);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    // whether one update of a policy that knows nothing helps is chance
+    assert!(matches!(output.status.code(), Some(0 | 1)), "{error}");
+    let path = folder.path().join("loop");
+    let result: Value = run_dir::read_json(&path.join("result.json")).expect("a result");
+    let mass = &result["rounds"][1]["identified"]["parameters"][0];
+    let number = |key: &str| mass[key].as_f64().expect("a number");
+    assert!((number("truth") / number("nominal") - 1.5).abs() < 1e-9);
+    assert!(
+        (number("value") / number("truth") - 1.0).abs() < 0.1,
+        "{mass}"
+    );
+    assert_eq!(result["references"].as_array().expect("both").len(), 2);
+    let page = fs::read_to_string(path.join("adapt.html")).expect("a page");
+    assert!(page.contains("stands in for a machine") && path.join("tracking.svg").exists());
+
+    // nothing is done twice
+    let kept = |name: &str| {
+        fs::metadata(path.join(name))
+            .and_then(|m| m.modified())
+            .expect("there")
+    };
+    let files = [
+        "round-1/identified.json",
+        "round-1/policy/checkpoint.json",
+        "truth/round-1/tracking.json",
+    ];
+    let before = files.map(kept);
+    run(&[]);
+    assert_eq!(files.map(kept), before);
+
+    // another machine is not taken for this one
+    let rig = RIG.replace("0.5", "0.4");
+    fs::write(folder.path().join("rig.toml"), rig).expect("writable");
+    let other = run(&[]);
+    let message = String::from_utf8_lossy(&other.stderr).into_owned();
+    assert_eq!(other.status.code(), Some(2));
+    assert!(message.contains("another rig"), "{message}");
+}
+
+#[test]
+fn bad_settings_are_named() {
+    let folder = folder();
+    for (text, key) in [
+        ("rounds = 0\n", "rounds"),
+        ("objective = { epopt = 1.5 }\n", "objective.epopt"),
+        ("behaviours = []\n", "behaviours"),
+        ("seconds = -1.0\n", "seconds"),
+        ("behaviours = [\"dance\"]\n", "dance"),
+        (
+            "[training.train]\niterations = 1\ntrajectories = 0\n",
+            "train.trajectories",
+        ),
+    ] {
+        fs::write(folder.path().join("adapt.toml"), text).expect("writable");
+        let output = phantom(folder.path(), &COMMON);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{text}: {message}");
+        assert!(message.contains(key), "{text}: {message}");
+    }
+}
