@@ -172,7 +172,8 @@ pub fn object_kind(kind: &str) -> Option<ObjectKind> {
     })
 }
 
-/// Every scalar that `element` (`kind/glob`), `attribute` and `components` (empty: all) mean in `model`.
+/// Every scalar that `element` (`kind/glob`), `attribute` and `components` (empty: all) mean in `model`. Elements that
+/// the glob matches but that cannot have the attribute, as the mass of the world, are passed over.
 ///
 /// # Errors
 /// An unknown kind, attribute, element or component, with what there is instead.
@@ -206,12 +207,15 @@ pub fn resolve(
             .collect(),
     };
     let mut targets = Vec::new();
+    let mut skipped = Vec::new();
     for (id, name) in &elements {
         if !glob::matches(pattern, name) {
             continue;
         }
         if let Some(reason) = without_effect(model, attribute, *id) {
-            return Err(refuse(format!("{kind} `{name}` {reason}")));
+            // a glob means those that can have it
+            skipped.push(format!("{kind} `{name}` {reason}"));
+            continue;
         }
         let width = match attribute.width {
             0 => model.numeric_size()[*id] as usize,
@@ -237,6 +241,9 @@ pub fn resolve(
                 place,
             });
         }
+    }
+    if targets.is_empty() && !skipped.is_empty() {
+        return Err(refuse(skipped.join(", ")));
     }
     if targets.is_empty() {
         let names: Vec<&str> = elements.iter().map(|(_, n)| n.as_str()).collect();

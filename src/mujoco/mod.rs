@@ -41,6 +41,7 @@ pub use kinds::{Cone, Integrator, Jacobian, ObjectKind, Solver, SolverOptions};
 pub use measures::Measures;
 pub use model::Model;
 pub use outcome::{Contact, Warnings};
+pub use sensor::JointReading;
 pub use state::State;
 
 use mujoco_sys as ffi;

@@ -1,4 +1,4 @@
-//! Units of what sensors report.
+//! What sensors report, and in which units.
 
 use super::{Model, ffi};
 use ffi::{mjtJoint_, mjtSensor_};
@@ -55,4 +55,24 @@ impl Model {
             _ => return None,
         })
     }
+
+    /// The hinge or slide joint whose position or velocity sensor `id` reports as it is; `None` for other sensors.
+    pub fn sensed_joint(&self, id: usize) -> Option<(usize, JointReading)> {
+        let reading = match *self.sensor_type().get(id)? as u32 {
+            mjtSensor_::mjSENS_JOINTPOS => JointReading::Position,
+            mjtSensor_::mjSENS_JOINTVEL => JointReading::Velocity,
+            _ => return None,
+        };
+        let joint = usize::try_from(*self.sensor_objid().get(id)?).ok()?;
+        Some((joint, reading))
+    }
+}
+
+/// What a sensor reports of a joint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum JointReading {
+    /// rad or m
+    Position,
+    /// rad/s or m/s
+    Velocity,
 }

@@ -128,6 +128,36 @@ impl Bound {
         }
     }
 
+    /// Channels whose unit is not that of the number they stand for: stream, column, and the unit it should be. A channel
+    /// that names no unit is taken for right.
+    pub fn wrong_units(
+        &self,
+        recording: &Recording,
+        model: &Model,
+    ) -> Vec<(usize, usize, &'static str)> {
+        let of_joint = |joint: usize, hinge, slide| {
+            let slides = model.is_slide(joint)?;
+            Some(if slides { slide } else { hinge })
+        };
+        let sensors = self
+            .sensors
+            .iter()
+            .map(|b| (b, model.sensor_unit(b.object)));
+        let qpos = self
+            .qpos
+            .iter()
+            .map(|b| (b, of_joint(b.object, "rad", "m")));
+        let qvel = (self.qvel.iter()).map(|b| (b, of_joint(b.object, "rad/s", "m/s")));
+        (sensors.chain(qpos).chain(qvel))
+            .filter_map(|(b, expected)| {
+                let unit = &recording.streams[b.stream].channels[b.column].unit;
+                let expected = expected?;
+                let wrong = !unit.is_empty() && plain_unit(unit) != plain_unit(expected);
+                wrong.then_some((b.stream, b.column, expected))
+            })
+            .collect()
+    }
+
     /// Names of the model's sensors of which some number is not recorded.
     pub fn missing_sensors(&self, model: &Model) -> Vec<String> {
         let recorded = |sensor: &usize| {
@@ -148,6 +178,35 @@ impl Bound {
             .map(|i| name(model, ObjectKind::Actuator, i))
             .collect()
     }
+}
+
+/// One spelling of a unit: `N·m`, `N*m` and `Nm` are `N m`, `radians` are `rad`.
+fn plain_unit(unit: &str) -> String {
+    let mut plain: String = unit
+        .chars()
+        .filter(|c| !matches!(c, ' ' | '*' | '·' | '⋅' | '^'))
+        .map(|c| match c {
+            '²' => '2',
+            '³' => '3',
+            c => c,
+        })
+        .collect();
+    if matches!(plain.as_str(), "-" | "") {
+        return "1".to_owned();
+    }
+    for (long, short) in [
+        ("radians", "rad"),
+        ("radian", "rad"),
+        ("meters", "m"),
+        ("metres", "m"),
+        ("meter", "m"),
+        ("metre", "m"),
+        ("seconds", "s"),
+        ("second", "s"),
+    ] {
+        plain = plain.replace(long, short);
+    }
+    plain
 }
 
 /// The object's name, or its number.

@@ -301,15 +301,10 @@ fn against(recording: &Recording, model: &Model, findings: &mut Vec<Finding>) {
             return;
         }
     };
-    for sensor in &bound.sensors {
-        let channel = &recording.streams[sensor.stream].channels[sensor.column];
-        if let Some(expected) = model.sensor_unit(sensor.object)
-            && !channel.unit.is_empty()
-            && plain_unit(&channel.unit) != plain_unit(expected)
-        {
-            let message = format!("unit `{}`, the sensor has `{expected}`", channel.unit);
-            findings.push(Finding::new(Severity::Error, "unit", message).of(&channel.name));
-        }
+    for (stream, column, expected) in bound.wrong_units(recording, model) {
+        let channel = &recording.streams[stream].channels[column];
+        let message = format!("unit `{}`, the sensor has `{expected}`", channel.unit);
+        findings.push(Finding::new(Severity::Error, "unit", message).of(&channel.name));
     }
     for unbound in &bound.unbound {
         let message = format!("not in the model: {}", unbound.reason);
@@ -323,21 +318,4 @@ fn against(recording: &Recording, model: &Model, findings: &mut Vec<Finding>) {
         let message = "no channel, or not all components, of this sensor".to_owned();
         findings.push(Finding::new(Severity::Warning, "no_sensor", message).of(&name));
     }
-}
-
-/// One spelling of a unit: `N·m`, `N*m` and `Nm` are `N m`.
-fn plain_unit(unit: &str) -> String {
-    let plain: String = unit
-        .chars()
-        .filter(|c| !matches!(c, ' ' | '*' | '·' | '⋅' | '^'))
-        .map(|c| match c {
-            '²' => '2',
-            '³' => '3',
-            c => c,
-        })
-        .collect();
-    if matches!(plain.as_str(), "-" | "") {
-        return "1".to_owned();
-    }
-    plain
 }

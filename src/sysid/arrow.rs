@@ -152,6 +152,9 @@ impl Arrow {
     /// The trajectory's change (`n_knots` × nv) for a change `x` of the parameters.
     pub(super) fn back_substitute(&self, x: &[f64]) -> Vec<f64> {
         let (nv, width) = (self.nv, self.width);
+        if nv == 0 {
+            return Vec::new();
+        }
         let n = self.kept.len() / (nv * width);
         let mut q = vec![0.0; (n + 2) * nv];
         for k in (0..n).rev() {

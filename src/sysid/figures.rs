@@ -112,7 +112,8 @@ fn verdict(summary: &Summary) -> Section {
         ];
         table.push(std::iter::once(r.name.clone()).chain(cells).collect());
     }
-    section.table(table)
+    let section = section.table(table);
+    summary.notes.iter().fold(section, |s, note| s.text(note))
 }
 
 /// Before and after.

@@ -15,6 +15,7 @@
 //! Parameters at a bound are held there; the intervals of the others are given that.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::fit::Innovations;
@@ -207,8 +208,11 @@ impl Spread {
         let by_prior = &inverse * DMatrix::from_diagonal(&prior) * &inverse;
         let white = &inverse * &a * &inverse;
         let (mut scale, mut dof, mut inflation) = (Vec::new(), Vec::new(), Vec::new());
-        for i in 0..m {
-            let found = rows.inflation(&inverse.column(i).into(), &inverse);
+        let spectra: Vec<_> = (0..m)
+            .into_par_iter()
+            .map(|i| rows.inflation(&inverse.column(i).into(), &inverse))
+            .collect();
+        for (i, found) in spectra.into_iter().enumerate() {
             let factor = found.factor.max(LEAST_INFLATION);
             let by_data = factor * white[(i, i)];
             let variance = by_data + by_prior[(i, i)];
@@ -219,6 +223,7 @@ impl Spread {
         }
         // of single scores, as estimates mix what is known well with what is not known at all
         let own: Vec<f64> = (0..m)
+            .into_par_iter()
             .map(|i| {
                 let unit = DVector::from_fn(m, |j, _| f64::from(u8::from(i == j)));
                 rows.inflation(&unit, &inverse)

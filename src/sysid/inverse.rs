@@ -67,16 +67,25 @@ impl Inverse {
     /// # Errors
     /// When out of memory.
     pub fn new(model: Arc<Model>, sensors: bool) -> Result<Self> {
-        let nv = model.nv();
-        let damped = model.dof_damping().iter().any(|&d| d > 0.0);
-        Ok(Self {
-            data: Data::new(model)?,
-            damped,
+        Ok(Self::with(Data::new(model)?, sensors))
+    }
+
+    /// A workspace made of a simulation that is at hand.
+    pub(super) fn with(data: Data, sensors: bool) -> Self {
+        let nv = data.model().nv();
+        Self {
+            damped: data.model().dof_damping().iter().any(|&d| d > 0.0),
+            data,
             sensors,
             scaled: vec![0.0; nv],
             solved: vec![0.0; nv],
             residual: vec![0.0; nv],
-        })
+        }
+    }
+
+    /// The simulation behind it, for another use.
+    pub(super) fn into_data(self) -> Data {
+        self.data
     }
 
     /// The model in use.

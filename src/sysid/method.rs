@@ -17,6 +17,17 @@ pub enum Method {
 }
 
 impl Method {
+    /// Looks for recordings that the method cannot use.
+    ///
+    /// # Errors
+    /// The first.
+    pub fn fits(&self, problem: &Problem) -> Result<(), SysidError> {
+        match self {
+            Self::Joint(_) => Ok(()),
+            Self::Shooting(settings) => settings.fits(problem),
+        }
+    }
+
     /// Estimates parameters and motion. `watch` is told of each iteration, and stops the solver by `false`.
     ///
     /// # Errors

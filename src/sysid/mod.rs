@@ -23,6 +23,7 @@
 mod arrow;
 mod backward;
 mod box_qp;
+pub mod check;
 pub mod design;
 pub mod ensemble;
 pub mod figures;
@@ -108,6 +109,22 @@ pub enum SysidError {
         recording: String,
         /// s since the first knot
         time_s: f64,
+    },
+    /// A channel cannot be used.
+    #[error("channel `{channel}`: {reason}")]
+    Channel {
+        /// its name
+        channel: String,
+        /// what is wrong, and what to do
+        reason: String,
+    },
+    /// Something that is to be estimated leaves no trace.
+    #[error("the recordings do not show {what}; {remedy}")]
+    Unseen {
+        /// joints or parameters
+        what: String,
+        /// what to do
+        remedy: String,
     },
     /// A setting is out of range.
     #[error("{reason}")]

@@ -54,6 +54,8 @@ pub struct ProblemConfig {
     pub force: Vec<ForceRule>,
     /// unexplained force as a part of the force at a joint, where no rule gives it [0.01]
     pub force_sigma_relative: Option<f64>,
+    /// globs of joints whose motion no sensor has to show
+    pub unseen: Vec<String>,
 }
 
 /// At which stage of the engine a number is known, and so which knots it depends on.
@@ -156,6 +158,8 @@ pub struct Problem {
     pub force_sigma_relative: f64,
     /// (nu) seconds by which commands act late
     pub command_delay: Vec<Setting>,
+    /// what a user should know of the recordings
+    pub notes: Vec<String>,
 }
 
 /// Part of the forces at a joint that may stay unexplained, unless told.
@@ -176,6 +180,7 @@ impl Problem {
         }
         let mut channels: Vec<Channel> = Vec::new();
         let mut trials = Vec::new();
+        let mut notes = Vec::new();
         for (name, recording) in recordings {
             let bound = Bound::new(recording, &model)?;
             if let Some(missing) = bound.missing_controls(&model).first() {
@@ -191,7 +196,7 @@ impl Problem {
                 name,
                 recording,
                 &bound,
-                &mut channels,
+                (&mut channels, &mut notes),
             )?);
         }
         let names: Vec<String> = channels.iter().map(|c| c.name.clone()).collect();
@@ -225,6 +230,7 @@ impl Problem {
             force_norm,
             force_sigma_relative: relative,
             command_delay,
+            notes,
         };
         problem.guess_noise();
         Ok(problem)

@@ -80,6 +80,8 @@ pub struct Summary {
     pub level: f64,
     /// recordings
     pub recordings: Vec<Used>,
+    /// what to know of them
+    pub notes: Vec<String>,
     /// all parameters
     pub parameters: Vec<Estimate>,
     /// what the recordings cannot tell apart
@@ -136,6 +138,7 @@ impl Outcome {
             cost: fit.cost,
             level: fit.level,
             recordings,
+            notes: problem.notes.clone(),
             parameters: posterior.estimates.clone(),
             inseparable: posterior.inseparable.clone(),
             correlation: correlation(problem, &posterior),

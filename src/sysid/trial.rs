@@ -5,24 +5,31 @@ use super::norm::Norm;
 use super::problem::{Channel, ProblemConfig, Sample, Setting, Stage, Trial};
 use crate::mjcf::glob;
 use crate::mujoco::Model;
-use crate::recording::{Bound, BoundChannel, Recording};
+use crate::recording::{Bound, BoundChannel, Channel as Described, Recording};
 
 /// Least number of knots of a recording.
 const MIN_KNOTS: usize = 8;
 
-/// Samples and controls of a recording; its channels join those of earlier recordings.
+/// Samples and controls of a recording; its channels join those of earlier recordings, and so do notes.
 pub(super) fn trial(
     model: &Model,
     config: &ProblemConfig,
     name: &str,
     recording: &Recording,
     bound: &Bound,
-    channels: &mut Vec<Channel>,
+    (channels, notes): (&mut Vec<Channel>, &mut Vec<String>),
 ) -> Result<Trial, SysidError> {
     let refuse = |reason: String| SysidError::Recording {
         recording: name.to_owned(),
         reason,
     };
+    if let Some(&(stream, column, expected)) = bound.wrong_units(recording, model).first() {
+        let Described { name, unit, .. } = &recording.streams[stream].channels[column];
+        return Err(refuse(format!(
+            "channel `{name}` is in {unit}, its number in the model in {expected}; convert it in a binding table \
+             (--binding: from, scale, unit)"
+        )));
+    }
     let n_sensordata = model.nsensordata();
     let measured = (bound
         .sensors
@@ -59,7 +66,16 @@ pub(super) fn trial(
                 described.name
             )));
         }
-        let values = samples(recording, b);
+        let values = samples(recording, b).map_err(&refuse)?;
+        let lacks = recording.streams[b.stream].len() - values.len();
+        // a table of several clocks lacks most numbers of the slower ones, and that is right
+        if lacks > 0 && (lacks < values.len() || values.is_empty()) {
+            notes.push(format!(
+                "{name}: channel `{}` has no number in {lacks} of {} rows, which are left out",
+                described.name,
+                lacks + values.len()
+            ));
+        }
         if values.is_empty() {
             continue;
         }
@@ -92,7 +108,20 @@ pub(super) fn trial(
     let last = |values: &[(f64, f64)]| values.last().map_or(f64::NEG_INFINITY, |s| s.0);
     let mut controls: Vec<Vec<(f64, f64)>> = vec![Vec::new(); model.nu()];
     for b in &bound.controls {
-        controls[b.address] = samples(recording, b);
+        let series = samples(recording, b).map_err(&refuse)?;
+        let stream = &recording.streams[b.stream];
+        let control = &stream.channels[b.column].name;
+        let lacks = stream.len() - series.len();
+        if series.is_empty() {
+            return Err(refuse(format!("control `{control}` has no number at all")));
+        }
+        if lacks > 0 && lacks < series.len() {
+            notes.push(format!(
+                "{name}: control `{control}` has no number in {lacks} of {} rows, where the one before holds on",
+                stream.len()
+            ));
+        }
+        controls[b.address] = series;
     }
     let sensed = series
         .iter()
@@ -139,12 +168,17 @@ pub(super) fn trial(
     })
 }
 
-fn samples(recording: &Recording, b: &BoundChannel) -> Vec<(f64, f64)> {
+/// Times and numbers of a channel, rows without a number left out.
+fn samples(recording: &Recording, b: &BoundChannel) -> Result<Vec<(f64, f64)>, String> {
     let stream = &recording.streams[b.stream];
-    (0..stream.len())
-        .map(|i| (stream.time(i), stream.row(i)[b.column]))
-        .filter(|(_, value)| value.is_finite())
-        .collect()
+    let all = || (0..stream.len()).map(|i| (stream.time(i), stream.row(i)[b.column]));
+    match all().find(|(_, value)| value.is_infinite()) {
+        Some((time, value)) => Err(format!(
+            "channel `{}` is {value} at {time} s; a number that is missing is written as NaN or left empty",
+            stream.channels[b.column].name
+        )),
+        None => Ok(all().filter(|(_, value)| !value.is_nan()).collect()),
+    }
 }
 
 fn sensor_stage(model: &Model, b: &BoundChannel) -> Stage {

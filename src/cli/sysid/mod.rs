@@ -8,10 +8,11 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
+use serde::Serialize;
 
 use self::arguments::FitArgs;
 use super::{CliError, interruption, load_model, model_path, read_toml};
@@ -20,7 +21,7 @@ use crate::mujoco::Model;
 use crate::sysid::fit::{Iteration, Start};
 use crate::sysid::problem::{Problem, ProblemConfig};
 use crate::sysid::summary::{Outcome, Summary};
-use crate::sysid::{holdout, leave_out};
+use crate::sysid::{check, holdout, leave_out};
 
 /// Identify parameters of a model from recordings
 ///
@@ -60,6 +61,28 @@ impl SysidArgs {
             None => self.fit.run(),
         }
     }
+}
+
+/// Where the time of a run goes, s.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+struct Seconds {
+    /// model, parameters and recordings
+    read: f64,
+    /// the estimator
+    estimate: f64,
+    /// residuals and intervals
+    intervals: f64,
+    /// held-out recordings and left-out sensors
+    test: f64,
+    /// all files but the one with these numbers
+    write: f64,
+}
+
+/// Seconds since `clock`, which begins anew.
+fn lap(clock: &mut Instant) -> f64 {
+    std::mem::replace(clock, Instant::now())
+        .elapsed()
+        .as_secs_f64()
 }
 
 /// Shows iterations, and says when to stop.
@@ -126,6 +149,8 @@ impl FitArgs {
     }
 
     fn run(&self) -> Result<ExitCode, CliError> {
+        let mut seconds = Seconds::default();
+        let mut clock = Instant::now();
         let path = model_path(self.model.as_deref());
         let model = Arc::new(self.load(&path)?);
         let config: ProblemConfig = read_toml(self.parameters())?;
@@ -145,9 +170,15 @@ impl FitArgs {
         }
         if !held_out.is_empty() {
             // a held-out recording that does not fit should not be found out after an hour
-            Problem::new(Arc::clone(&model), &config, &held_out)?;
+            method.fits(&Problem::new(Arc::clone(&model), &config, &held_out)?)?;
+        }
+        method.fits(&problem)?;
+        check::check(&problem, &config, &recordings, &problem.parameters.start())?;
+        for note in &problem.notes {
+            eprintln!("phantom: {note}");
         }
         let out = write::Folder::new(&self.out, &path, &problem)?;
+        seconds.read = lap(&mut clock);
 
         let mut watch = Watch::new();
         watch.begin("fit");
@@ -157,8 +188,10 @@ impl FitArgs {
             force_scale: None,
         };
         let fit = method.solve(&problem, &start, &mut |i| watch.see(i))?;
+        seconds.estimate = lap(&mut clock);
         let outcome = Outcome::new(&problem, &method, &fit)?;
         let mut summary = outcome.summary.clone();
+        seconds.intervals = lap(&mut clock);
         if !held_out.is_empty() && !watch.stopped() {
             watch.begin("held-out");
             summary.holdout = holdout::test(
@@ -191,8 +224,15 @@ impl FitArgs {
                     .extend(rows.unwrap_or_default());
             }
         }
+        seconds.test = lap(&mut clock);
         watch.begin("writing");
-        let written = out.write(self, &problem, &fit, &outcome, &summary)?;
+        let identified = write::Identified {
+            problem: &problem,
+            fit: &fit,
+            outcome: &outcome,
+            summary: &summary,
+        };
+        let written = out.write(self, &identified, seconds, clock)?;
         watch.bar.finish_and_clear();
         self.print(&summary, &written);
         Ok(ExitCode::from(u8::from(!summary.is_good())))

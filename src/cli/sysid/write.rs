@@ -3,10 +3,12 @@
 use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use serde_json::json;
 
 use super::arguments::FitArgs;
+use super::{Seconds, lap};
 use crate::cli::CliError;
 use crate::cli::train::EnsembleFile;
 use crate::mjcf::file::rewrite;
@@ -24,6 +26,14 @@ pub(super) struct Folder {
     path: PathBuf,
     model_file: PathBuf,
     text: String,
+}
+
+/// A problem and what was found.
+pub(super) struct Identified<'a> {
+    pub problem: &'a Problem,
+    pub fit: &'a Fit,
+    pub outcome: &'a Outcome,
+    pub summary: &'a Summary,
 }
 
 /// What was written.
@@ -55,11 +65,16 @@ impl Folder {
     pub(super) fn write(
         &self,
         args: &FitArgs,
-        problem: &Problem,
-        fit: &Fit,
-        outcome: &Outcome,
-        summary: &Summary,
+        identified: &Identified<'_>,
+        mut seconds: Seconds,
+        mut clock: Instant,
     ) -> Result<Written, CliError> {
+        let &Identified {
+            problem,
+            fit,
+            outcome,
+            summary,
+        } = identified;
         let model = self.model(problem, fit, summary, args.timestep)?;
         self.motions(problem, fit, outcome)?;
         let draws = ensemble::draw(
@@ -78,6 +93,7 @@ impl Folder {
         let page = figures::report(&title, problem, outcome, summary);
         let report = self.path.join("report.html");
         run_dir::write_atomic(&report, page.html()?.as_bytes())?;
+        seconds.write = lap(&mut clock);
         let file = self.path.join("sysid.json");
         let json = serde_json::to_string_pretty(&json!({
             "model": self.model_file,
@@ -85,6 +101,7 @@ impl Folder {
             "files": args.files,
             "holdout_files": args.holdout,
             "seed": args.seed,
+            "seconds": seconds,
             "result": summary,
         }))
         .map_err(|error| refuse(&file, &error))?;

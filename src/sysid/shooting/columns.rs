@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::simulate::{Simulated, Simulator};
+use super::simulate::{Pool, Simulated, Simulator};
 use super::window::{Placed, State, Window};
 use crate::sysid::SysidError;
 use crate::sysid::parameter::{Instrument, Role};
@@ -26,9 +26,12 @@ pub(super) struct Point<'a> {
     pub x: &'a [f64],
     /// of each window
     pub states: &'a [State],
+    /// whether they are unknowns
+    pub free_states: bool,
+    pub pool: &'a Pool,
 }
 
-/// Derivatives of one window by every unknown: 2 nv of its first state, then the parameters.
+/// Derivatives of one window by every unknown: 2 nv of its first state if that is free, then the parameters.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Columns {
     /// per unknown (samples)
@@ -43,47 +46,57 @@ type Change = (usize, f64);
 impl Point<'_> {
     /// Every window simulated; `None` for those that diverge.
     pub(super) fn simulate(&self) -> Result<Vec<Option<Simulated>>, SysidError> {
+        let all: Vec<usize> = (0..self.windows.len()).collect();
+        self.simulate_some(&all)
+    }
+
+    /// Some of the windows, likewise.
+    pub(super) fn simulate_some(
+        &self,
+        which: &[usize],
+    ) -> Result<Vec<Option<Simulated>>, SysidError> {
         let controls = self.controls(self.x);
-        let parts: Vec<Result<Vec<Option<Simulated>>, SysidError>> =
-            (self.chunks(1).into_par_iter())
-                .map(|(from, to)| {
-                    let mut simulator = Simulator::new(self.problem, self.x)?;
-                    (from..to)
-                        .map(|w| {
-                            let window = &self.windows[w];
-                            simulator.run(window, &self.states[w], &controls[window.trial])
-                        })
-                        .collect()
-                })
-                .collect();
-        let mut all = Vec::with_capacity(self.windows.len());
+        let size = which.len().div_ceil(8 * rayon::current_num_threads());
+        let parts: Vec<Result<Vec<Option<Simulated>>, SysidError>> = (which
+            .par_chunks(size.max(1)))
+        .map(|part| {
+            Simulator::with(self.problem, self.pool, self.x, |simulator| {
+                (part.iter())
+                    .map(|&w| {
+                        let window = &self.windows[w];
+                        simulator.run(window, &self.states[w], &controls[window.trial])
+                    })
+                    .collect()
+            })
+        })
+        .collect();
+        let mut all = Vec::with_capacity(which.len());
         for part in parts {
             all.extend(part?);
         }
         Ok(all)
     }
 
-    /// Derivatives where the simulations are `base`; those by states are 0 unless `free_states`.
-    pub(super) fn columns(
-        &self,
-        base: &[Simulated],
-        free_states: bool,
-    ) -> Result<Vec<Columns>, SysidError> {
-        let n_state = 2 * self.problem.model.nv();
-        let mut changes: Vec<Change> = Vec::new();
-        if free_states {
-            changes.extend((0..n_state).map(|j| {
-                let position = j < n_state / 2;
-                (
-                    j,
-                    if position {
-                        STEP_POSITION
-                    } else {
-                        STEP_VELOCITY
-                    },
-                )
-            }));
+    /// Unknowns of a window's first state.
+    pub(super) fn n_state(&self) -> usize {
+        if self.free_states {
+            2 * self.problem.model.nv()
+        } else {
+            0
         }
+    }
+
+    /// Derivatives where the simulations are `base`.
+    pub(super) fn columns(&self, base: &[Simulated]) -> Result<Vec<Columns>, SysidError> {
+        let n_state = self.n_state();
+        let step = |j| {
+            if j < n_state / 2 {
+                STEP_POSITION
+            } else {
+                STEP_VELOCITY
+            }
+        };
+        let mut changes: Vec<Change> = (0..n_state).map(|j| (j, step(j))).collect();
         for (j, parameter) in self.problem.parameters.iter_free().enumerate() {
             // what the sensors make of the motion needs no simulation
             let moves = !matches!(
@@ -108,7 +121,7 @@ impl Point<'_> {
         let mut all: Vec<Columns> = (self.placed.iter())
             .map(|placed| Columns {
                 samples: vec![vec![0.0; placed.len()]; n],
-                end: vec![vec![0.0; n_state]; n],
+                end: vec![vec![0.0; 2 * self.problem.model.nv()]; n],
             })
             .collect();
         for (((j, _), (from, _)), part) in tasks.into_iter().zip(parts) {
@@ -127,9 +140,9 @@ impl Point<'_> {
         base: &[Simulated],
         controls: &[Vec<f64>],
     ) -> Result<Vec<Slope>, SysidError> {
-        let n_state = 2 * self.problem.model.nv();
+        let n_state = self.n_state();
         let mut x = self.x.to_vec();
-        let mut tangent = vec![0.0; n_state];
+        let mut tangent = vec![0.0; 2 * self.problem.model.nv()];
         let mut moved_controls = Vec::new();
         if j < n_state {
             tangent[j] = step;
@@ -144,25 +157,25 @@ impl Point<'_> {
         } else {
             &moved_controls
         };
-        let mut simulator = Simulator::new(self.problem, &x)?;
-        (from..to)
-            .map(|w| {
-                let (window, placed, base) = (&self.windows[w], &self.placed[w], &base[w]);
-                let state = self.states[w].moved(self.problem, &tangent)?;
-                let moved = simulator.run(window, &state, &controls[window.trial])?;
-                // what diverges this close to what does not has no slope
-                let moved = moved.as_ref().unwrap_or(base);
-                let samples = (moved.samples(self.problem, window, placed))
-                    .zip(base.samples(self.problem, window, placed))
-                    .map(|(m, b)| (m.0 - b.0) / step)
-                    .collect();
-                let mut end = moved.end.minus(&base.end, self.problem)?;
-                for e in &mut end {
-                    *e /= step;
-                }
-                Ok((samples, end))
-            })
-            .collect()
+        let slope = |simulator: &mut Simulator<'_>, w: usize| {
+            let (window, placed, base) = (&self.windows[w], &self.placed[w], &base[w]);
+            let state = self.states[w].moved(self.problem, &tangent)?;
+            let moved = simulator.run(window, &state, &controls[window.trial])?;
+            // what diverges this close to what does not has no slope
+            let moved = moved.as_ref().unwrap_or(base);
+            let samples = (moved.samples(self.problem, window, placed))
+                .zip(base.samples(self.problem, window, placed))
+                .map(|(m, b)| (m.0 - b.0) / step)
+                .collect();
+            let mut end = moved.end.minus(&base.end, self.problem)?;
+            for e in &mut end {
+                *e /= step;
+            }
+            Ok((samples, end))
+        };
+        Simulator::with(self.problem, self.pool, &x, |simulator| {
+            (from..to).map(|w| slope(simulator, w)).collect()
+        })
     }
 
     /// Of every trial (knots × nu).

@@ -1,22 +1,31 @@
 //! Damped Gauss-Newton over parameters and the first states of windows.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use super::ShootingSettings;
-use super::columns::Point;
+use super::columns::{Columns, Point};
 use super::rows::Rows;
-use super::simulate::Simulated;
+use super::simulate::{Pool, Simulated};
 use super::window::{Placed, State, Window, place};
 use crate::sysid::SysidError;
 use crate::sysid::arrow::Arrow;
 use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::fit::{Fit, Innovations, Iteration, Status};
-use crate::sysid::parameter::Scale;
+use crate::sysid::parameter::{Parameter, Scale};
 use crate::sysid::problem::Problem;
 
 const FIRST_DAMPING: f64 = 1e-3;
+/// Where something else than the user says where to begin.
+const NEAR_DAMPING: f64 = 1e-6;
 const LEAST_DAMPING: f64 = 1e-10;
 const MOST_DAMPING: f64 = 1e6;
+/// Fall of the cost that is not worth a step: what moves an estimate by a thousandth of its standard deviation.
+const LEAST_FALL: f64 = 1e-6;
+/// Changes of parameters, in parts of their typical change, and of states, rad, m and per second, by which derivatives
+/// change no more than matters for intervals.
+const NEAR: f64 = 1e-3;
+const NEAR_STATE: f64 = 1e-5;
 /// Largest change of x on a log scale in one step.
 const LOG_STEP: f64 = 1.0;
 /// Parts of the change of a window's state that are tried.
@@ -28,13 +37,23 @@ const LEAST_SENSITIVITY: f64 = 1e-6;
 pub(super) struct Descent<'a> {
     problem: &'a Problem,
     settings: &'a ShootingSettings,
+    pool: &'a Pool,
     windows: Vec<Window>,
     placed: Vec<Vec<Placed>>,
     x: Vec<f64>,
     states: Vec<State>,
     simulated: Vec<Simulated>,
+    linear: Option<Linear>,
     damping: f64,
     history: Vec<Iteration>,
+}
+
+/// Derivatives of all windows, and where they were taken.
+struct Linear {
+    x: Vec<f64>,
+    states: Vec<State>,
+    placed: Vec<Vec<Placed>>,
+    columns: Vec<Columns>,
 }
 
 /// A step that lowers the cost.
@@ -44,12 +63,52 @@ struct Taken {
     simulated: Vec<Simulated>,
     cost: f64,
     length: f64,
+    /// fall of the cost by the linearised problem
+    expected: f64,
 }
 
 impl<'a> Descent<'a> {
-    pub(super) fn new(
-        problem: &'a Problem,
-        settings: &'a ShootingSettings,
+    /// The search from that of the parameters `starts` which costs least.
+    pub(super) fn best_of(
+        (problem, settings, pool): (&'a Problem, &'a ShootingSettings, &'a Pool),
+        windows: &[Window],
+        starts: &[Vec<f64>],
+        states: &[State],
+    ) -> Result<Self, SysidError> {
+        let all: Vec<Result<(f64, Self), SysidError>> = (starts.par_iter().enumerate())
+            .map(|(i, x)| {
+                let windows = windows.to_vec();
+                let new = Self::new(
+                    (problem, settings, pool),
+                    windows,
+                    x.clone(),
+                    states.to_vec(),
+                )?;
+                let damping = if i == 0 { FIRST_DAMPING } else { NEAR_DAMPING };
+                Ok((new.cost()?, Self { damping, ..new }))
+            })
+            .collect();
+        // the first start is the user's, and so is its error
+        let mut first_error = None;
+        let mut best: Option<(f64, Self)> = None;
+        for found in all {
+            match found {
+                Ok(found) if best.as_ref().is_none_or(|b| found.0 < b.0) => best = Some(found),
+                Ok(_) => {}
+                Err(error) => {
+                    first_error.get_or_insert(error);
+                }
+            }
+        }
+        best.map(|(_, descent)| descent).ok_or_else(|| {
+            first_error.unwrap_or_else(|| SysidError::Setting {
+                reason: "there is nothing to start from".into(),
+            })
+        })
+    }
+
+    fn new(
+        (problem, settings, pool): (&'a Problem, &'a ShootingSettings, &'a Pool),
         windows: Vec<Window>,
         x: Vec<f64>,
         states: Vec<State>,
@@ -58,10 +117,12 @@ impl<'a> Descent<'a> {
             placed: place(problem, &windows, &x),
             problem,
             settings,
+            pool,
             windows,
             x,
             states,
             simulated: Vec::new(),
+            linear: None,
             damping: FIRST_DAMPING,
             history: Vec::new(),
         };
@@ -78,7 +139,8 @@ impl<'a> Descent<'a> {
     /// The same search over other parts of the windows.
     pub(super) fn over(self, windows: Vec<Window>) -> Result<Self, SysidError> {
         let history = self.history;
-        let next = Self::new(self.problem, self.settings, windows, self.x, self.states)?;
+        let of = (self.problem, self.settings, self.pool);
+        let next = Self::new(of, windows, self.x, self.states)?;
         Ok(Self { history, ..next })
     }
 
@@ -102,7 +164,10 @@ impl<'a> Descent<'a> {
                 };
                 break;
             };
-            let decrease = (cost - taken.cost) / cost.max(f64::MIN_POSITIVE);
+            let fall = cost - taken.cost;
+            let decrease = fall / cost.max(f64::MIN_POSITIVE);
+            // what the damping kept back, and what the problem is not linear in
+            let left = self.damping.powi(2) * taken.expected + (taken.expected - fall).abs();
             let record = Iteration {
                 level: 0.0,
                 cost: taken.cost,
@@ -124,7 +189,7 @@ impl<'a> Descent<'a> {
             } else {
                 0
             };
-            if small >= 2 || taken.cost < 1e-20 {
+            if small >= 2 || left < LEAST_FALL {
                 status = Status::Converged;
                 break;
             }
@@ -139,7 +204,14 @@ impl<'a> Descent<'a> {
             placed: &self.placed,
             x,
             states,
+            free_states: self.settings.free_states,
+            pool: self.pool,
         }
+    }
+
+    /// Unknowns of a window's first state.
+    fn n_state(&self) -> usize {
+        self.point(&self.x, &self.states).n_state()
     }
 
     fn cost(&self) -> Result<f64, SysidError> {
@@ -152,12 +224,36 @@ impl<'a> Descent<'a> {
     }
 
     /// The linearised problem, window by window.
-    fn rows(&self) -> Result<Vec<Rows>, SysidError> {
+    fn rows(&mut self) -> Result<Vec<Rows>, SysidError> {
         let point = self.point(&self.x, &self.states);
-        let columns = point.columns(&self.simulated, self.settings.free_states)?;
-        (columns.iter().enumerate())
+        let linear = match &self.linear {
+            Some(linear) if self.is_near(linear) => None,
+            _ => Some(Linear {
+                columns: point.columns(&self.simulated)?,
+                x: self.x.clone(),
+                states: self.states.clone(),
+                placed: self.placed.clone(),
+            }),
+        };
+        self.linear = linear.or(self.linear.take());
+        let columns = self.linear.iter().flat_map(|l| &l.columns);
+        let point = self.point(&self.x, &self.states);
+        (columns.enumerate())
             .map(|(w, c)| point.rows(w, &self.simulated[w], c, self.settings.jump_sigma))
             .collect()
+    }
+
+    /// Whether derivatives taken there hold here.
+    fn is_near(&self, linear: &Linear) -> bool {
+        let parameters = self.problem.parameters.iter_free();
+        let near = |(p, (a, b)): (&Parameter, (&f64, &f64))| (a - b).abs() < NEAR * p.typical;
+        let same = |(a, b): (&State, &State)| {
+            let (a, b) = (a.qpos.iter().chain(&a.qvel), b.qpos.iter().chain(&b.qvel));
+            a.zip(b).all(|(a, b)| (a - b).abs() < NEAR_STATE)
+        };
+        self.placed == linear.placed
+            && parameters.zip(self.x.iter().zip(&linear.x)).all(near)
+            && self.states.iter().zip(&linear.states).all(same)
     }
 
     /// More and more damping until the true cost falls; `None` where none makes it fall.
@@ -170,7 +266,12 @@ impl<'a> Descent<'a> {
             let changes = changes(&arrows, &dx);
             let best = self.best(&x, &changes)?;
             if let Some(taken) = best.filter(|taken| taken.cost <= cost) {
-                return Ok(Some(Taken { length, ..taken }));
+                let expected = self.expected(rows, &changes, &dx);
+                return Ok(Some(Taken {
+                    length,
+                    expected,
+                    ..taken
+                }));
             }
             self.damping *= if self.damping < 1e-6 { 1e3 } else { 10.0 };
         }
@@ -180,30 +281,37 @@ impl<'a> Descent<'a> {
 
     /// The point at parameters `x` and the states after `changes` (windows × 2 nv); `None` where it diverges.
     ///
-    /// Windows that know nothing of each other each take the part of their change that suits them best: one that
-    /// stands before a kink, as where a joint begins to stick, must not hold back the rest.
+    /// Windows that know nothing of each other each take the part of their change that suits them best, where the whole
+    /// of it does not lower their cost: one that stands before a kink, as where a joint begins to stick, must not hold
+    /// back the rest.
     fn best(&self, x: &[f64], changes: &[f64]) -> Result<Option<Taken>, SysidError> {
         let parts: &[f64] = if self.settings.jump_sigma.is_none() && self.settings.free_states {
             &PARTS
         } else {
             &[1.0]
         };
+        let here = self.point(&self.x, &self.states);
+        let before = (self.simulated.iter().enumerate())
+            .map(|(w, simulated)| here.window_cost(w, simulated, self.settings.jump_sigma))
+            .collect::<Result<Vec<f64>, _>>()?;
         let mut best: Vec<Option<(f64, State, Simulated)>> = vec![None; self.windows.len()];
+        let mut left: Vec<usize> = (0..self.windows.len()).collect();
         for part in parts {
             let states = self.moved(changes, *part)?;
             let point = self.point(x, &states);
             // a step may leave what the engine accepts: then it is none
-            let Ok(simulated) = point.simulate() else {
+            let Ok(simulated) = point.simulate_some(&left) else {
                 return Ok(None);
             };
-            for (w, (simulated, state)) in simulated.into_iter().zip(&states).enumerate() {
+            for (&w, simulated) in left.iter().zip(simulated) {
                 if let Some(simulated) = simulated {
                     let cost = point.window_cost(w, &simulated, self.settings.jump_sigma)?;
                     if best[w].as_ref().is_none_or(|b| cost < b.0) {
-                        best[w] = Some((cost, state.clone(), simulated));
+                        best[w] = Some((cost, states[w].clone(), simulated));
                     }
                 }
             }
+            left.retain(|&w| best[w].as_ref().is_none_or(|b| b.0 > before[w]));
         }
         let Some(best) = best.into_iter().collect::<Option<Vec<_>>>() else {
             return Ok(None);
@@ -216,12 +324,32 @@ impl<'a> Descent<'a> {
             simulated,
             cost,
             length: 0.0,
+            expected: 0.0,
         }))
+    }
+
+    /// Fall of the cost by the linearised problem for a step of states and parameters.
+    fn expected(&self, rows: &[Rows], changes: &[f64], dx: &[f64]) -> f64 {
+        let n_state = self.n_state();
+        let x: Vec<f64> = self.x.iter().zip(dx).map(|(x, d)| x + d).collect();
+        let mut fall = self.prior_cost(&self.x) - self.prior_cost(&x);
+        for (w, rows) in rows.iter().enumerate() {
+            let from = w * n_state;
+            let states = &changes[from..(from + 2 * n_state).min(changes.len())];
+            for (_, row) in rows.iter() {
+                let (own, rest) = row.split_at(2 * n_state);
+                let (by_x, r) = rest.split_at(dx.len());
+                let along = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+                let new = r[0] + along(own, states) + along(by_x, dx);
+                fall += 0.5 * (r[0] - new) * (r[0] + new);
+            }
+        }
+        fall
     }
 
     /// States of every trial eliminated, each damped in proportion to what its samples say about it.
     fn eliminate(&self, rows: &[Rows], damping: f64) -> Vec<Arrow> {
-        let (n_state, np) = (2 * self.problem.model.nv(), self.x.len());
+        let (n_state, np) = (self.n_state(), self.x.len());
         let mut arrows: Vec<Arrow> = Vec::new();
         let mut k = 0;
         for (window, rows) in self.windows.iter().zip(rows) {
@@ -288,7 +416,10 @@ impl<'a> Descent<'a> {
 
     /// States after a part of their changes.
     fn moved(&self, changes: &[f64], part: f64) -> Result<Vec<State>, SysidError> {
-        let n_state = 2 * self.problem.model.nv();
+        let n_state = self.n_state();
+        if n_state == 0 {
+            return Ok(self.states.clone());
+        }
         (self.states.iter().zip(changes.chunks_exact(n_state)))
             .map(|(state, change)| {
                 let change: Vec<f64> = change.iter().map(|c| part * c).collect();
@@ -319,7 +450,8 @@ impl<'a> Descent<'a> {
             let end = simulated.qpos.len() - if window.followed { nq } else { 0 };
             trajectories[window.trial].extend_from_slice(&simulated.qpos[..end]);
         }
-        let mut weakest = (f64::INFINITY, 0, 0, 0);
+        // states that are given are known
+        let mut weakest = (1.0, 0, 0, 0);
         for (trial, arrow) in arrows.iter().enumerate() {
             let (ratio, (k, i)) = arrow.weakest();
             if ratio < weakest.0 {
@@ -347,7 +479,7 @@ impl<'a> Descent<'a> {
     /// The elimination's own innovations mix all samples of a window; these stay at their time, which robust intervals
     /// need. Their information is the same.
     fn innovations(&self, rows: &[Rows], arrows: &[Arrow]) -> Innovations {
-        let (n_state, np) = (2 * self.problem.model.nv(), self.x.len());
+        let (n_state, np) = (self.n_state(), self.x.len());
         let origin = changes(arrows, &vec![0.0; np]);
         let by_x: Vec<Vec<f64>> = (0..np)
             .map(|j| {

@@ -27,6 +27,10 @@
 
 mod columns;
 mod descent;
+mod measured;
+mod motion;
+pub mod probe;
+mod regression;
 mod rows;
 mod simulate;
 mod window;
@@ -34,9 +38,9 @@ mod window;
 use super::SysidError;
 pub use super::fit::{Fit, Iteration, Start, Status};
 use super::problem::Problem;
-use super::start;
 use descent::Descent;
-use window::State;
+use motion::Motion;
+use simulate::Pool;
 
 /// Factor by which the parts of windows grow.
 const GROWTH: f64 = 1.1;
@@ -44,7 +48,7 @@ const GROWTH: f64 = 1.1;
 /// Settings of the solver.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShootingSettings {
-    /// length of a window, s; a shorter recording is one window
+    /// length of a window, s; infinite: every recording is one window
     pub window_s: f64,
     /// s of each window that are fitted first; more and more follow. Where the motion is chaotic, what the first
     /// part tells brings the next one near enough. None: all at once
@@ -99,6 +103,30 @@ impl ShootingSettings {
     }
 }
 
+impl ShootingSettings {
+    /// Looks for recordings shorter than a window.
+    ///
+    /// # Errors
+    /// The first.
+    pub fn fits(&self, problem: &Problem) -> Result<(), SysidError> {
+        let h = problem.model.timestep();
+        for trial in &problem.trials {
+            let duration = (trial.n_knots - 1) as f64 * h;
+            if self.window_s.is_finite() && duration < self.window_s - 1.5 * h {
+                return Err(SysidError::Recording {
+                    recording: trial.name.clone(),
+                    reason: format!(
+                        "it lasts {duration:.3} s, less than a window of {} s; take shorter windows (--window), or \
+                         whole recordings (--window inf)",
+                        self.window_s
+                    ),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Estimates parameters and the first states of windows. `watch` is told of each iteration, and stops the solver by
 /// `false`.
 ///
@@ -111,30 +139,28 @@ pub fn solve(
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Fit, SysidError> {
     settings.check()?;
+    settings.fits(problem)?;
     let windows = window::cut(problem, settings.window_s);
-    let trajectories = match &start.trajectories {
-        Some(given) => given.clone(),
-        None => (problem.trials.iter())
-            .map(|trial| start::trajectory(problem, trial, &start.x))
-            .collect::<Result<_, _>>()?,
-    };
-    let states = (windows.iter())
-        .map(|w| State::on(problem, w, &trajectories[w.trial]))
-        .collect::<Result<_, _>>()?;
+    let (motion, states) = Motion::of(problem, settings, start, &windows)?;
     let mut reach = settings.first_s.map(|s| steps(problem, s));
     let part = |steps: usize| -> Vec<_> { windows.iter().map(|w| w.up_to(steps)).collect() };
     let longest = windows.iter().map(|w| w.last - w.first).max().unwrap_or(0);
     let first = part(reach.unwrap_or(longest));
-    let mut descent = Descent::new(problem, settings, first, start.x.clone(), states)?;
+    let mut starts = vec![start.x.clone()];
+    let pool = Pool::default();
+    starts.extend(motion.regressed(problem, &pool, &start.x)?);
+    let of = (problem, settings, &pool);
+    let mut descent = Descent::best_of(of, &first, &starts, &states)?;
     loop {
         let status = descent.run(watch)?;
         match reach {
+            None => return descent.conclude(status),
             Some(steps) if steps < longest && status != Status::Interrupted => {
                 let steps = (steps as f64 * GROWTH).ceil() as usize;
                 reach = Some(steps);
                 descent = descent.over(part(steps))?;
             }
-            _ => return descent.over(windows)?.conclude(status),
+            Some(_) => return descent.over(windows)?.conclude(status),
         }
     }
 }

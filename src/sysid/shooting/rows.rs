@@ -17,7 +17,8 @@ pub(super) struct Rows {
     pub knots: Vec<usize>,
     /// numbers a row
     pub width: usize,
-    /// by the window's first state (2 nv), by the next window's (2 nv), by parameters; the residual itself
+    /// by the window's first state (2 nv, if it is free), by the next window's (likewise), by parameters; the residual
+    /// itself
     pub values: Vec<f64>,
 }
 
@@ -90,7 +91,7 @@ impl Point<'_> {
         jump_sigma: Option<f64>,
     ) -> Result<Rows, SysidError> {
         let window = &self.windows[w];
-        let (n_state, np) = (2 * self.problem.model.nv(), self.x.len());
+        let (n_state, np) = (self.n_state(), self.x.len());
         let width = 2 * n_state + np + 1;
         let h = self.problem.model.timestep();
         let free = self.problem.free_values(self.x);
@@ -131,7 +132,7 @@ impl Point<'_> {
             let sigma = self.jump_sigma(window, sigma);
             let jump = self.jump(w, simulated, &sigma)?;
             let by_next = self.by_next(w, simulated, &sigma, &jump)?;
-            for i in 0..n_state {
+            for i in 0..jump.len() {
                 let row = rows.add(window.last);
                 for j in 0..n_state {
                     row[j] = columns.end[j][i] / sigma[i];

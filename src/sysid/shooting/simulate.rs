@@ -1,6 +1,6 @@
 //! One window, simulated.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::window::{Placed, State, Window};
 use crate::mujoco::{Data, Model};
@@ -38,6 +38,27 @@ impl Simulated {
     }
 }
 
+/// Simulations to be used again: to make one takes as long as a hundred steps.
+#[derive(Default)]
+pub(super) struct Pool(Mutex<Vec<Data>>);
+
+impl Pool {
+    /// One of the problem's model, its numbers and state whatever they were.
+    pub(super) fn take(&self, problem: &Problem) -> Result<Data, SysidError> {
+        let found = self.0.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        Ok(match found {
+            Some(data) => data,
+            None => Data::new(Arc::clone(&problem.model))?,
+        })
+    }
+
+    /// Gives one back that no error has stopped.
+    pub(super) fn put(&self, data: Data) {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        all.push(data);
+    }
+}
+
 /// A simulation with parameters of its own.
 pub(super) struct Simulator<'a> {
     problem: &'a Problem,
@@ -45,10 +66,19 @@ pub(super) struct Simulator<'a> {
 }
 
 impl<'a> Simulator<'a> {
-    pub(super) fn new(problem: &'a Problem, x: &[f64]) -> Result<Self, SysidError> {
-        let mut data = Data::new(Arc::clone(&problem.model))?;
+    /// What `run` gives with the parameters `x`; the simulation comes from `pool`, and returns there.
+    pub(super) fn with<R>(
+        problem: &'a Problem,
+        pool: &Pool,
+        x: &[f64],
+        run: impl FnOnce(&mut Self) -> Result<R, SysidError>,
+    ) -> Result<R, SysidError> {
+        let mut data = pool.take(problem)?;
         problem.parameters.apply(&problem.model, x, &mut data)?;
-        Ok(Self { problem, data })
+        let mut simulator = Self { problem, data };
+        let result = run(&mut simulator)?;
+        pool.put(simulator.data);
+        Ok(result)
     }
 
     /// Simulates a window from `state` under the controls of its trial (knots × nu). `None` where it diverges.
