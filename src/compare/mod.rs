@@ -24,7 +24,7 @@ pub mod policy;
 pub mod rollouts;
 mod seeded;
 pub mod settings;
-mod start;
+pub mod start;
 mod states;
 
 pub use error::CompareError;

@@ -44,11 +44,59 @@ struct Deviation {
 
 /// One rollout.
 #[derive(Debug, Clone)]
-pub(super) struct Rolled {
+pub struct Rolled {
     channels: Arc<Vec<Channel>>,
     /// (horizons × channels); nothing where the recording ends before
     deviations: Vec<Option<Vec<Deviation>>>,
     diverged: bool,
+}
+
+/// Mean deviation of a place or orientation from the recording, in one rollout up to one horizon.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeanDeviation<'a> {
+    /// joint or body
+    pub channel: &'a str,
+    /// index of the horizon
+    pub horizon: usize,
+    /// of which the deviation is the magnitude
+    pub dimensions: usize,
+    /// mean magnitude, in the unit of the channel
+    pub mean: f64,
+}
+
+impl Rolled {
+    /// Whether the simulation broke down.
+    pub fn diverged(&self) -> bool {
+        self.diverged
+    }
+
+    /// Of joints, and of free bodies as a whole; velocities are left out.
+    pub fn positions(&self) -> impl Iterator<Item = MeanDeviation<'_>> {
+        let whole = |address: usize| {
+            let parts = self.channels.iter().map(|c| &c.part);
+            parts
+                .filter(|p| matches!(p, Part::Distance(a) if (*a..a + 3).contains(&address)))
+                .count()
+                > 0
+        };
+        let dimensions = move |part: &Part| match part {
+            Part::Distance(_) | Part::Angle(_) => Some(3),
+            Part::Position(a) => (!whole(*a)).then_some(1),
+            Part::Velocity(_) => None,
+        };
+        let horizons = self.deviations.iter().enumerate();
+        horizons.flat_map(move |(horizon, deviations)| {
+            let all = deviations.iter().flat_map(|d| self.channels.iter().zip(d));
+            all.filter_map(move |(channel, d)| {
+                Some(MeanDeviation {
+                    channel: &channel.name,
+                    horizon,
+                    dimensions: dimensions(&channel.part)?,
+                    mean: d.sum / d.n as f64,
+                })
+            })
+        })
+    }
 }
 
 /// Deviation of a channel within a horizon, over all rollouts.
@@ -131,10 +179,13 @@ fn horizons(settings: &Settings) -> Vec<f64> {
 }
 
 /// Sets the controls of a step that begins at a time.
-pub(super) type Drive<'a> = &'a (dyn Fn(&mut Data, f64) + Sync);
+pub type Drive<'a> = &'a (dyn Fn(&mut Data, f64) + Sync);
 
 /// Simulate from every start, driven by `drive`.
-pub(super) fn roll_out(
+///
+/// # Errors
+/// The engine fails.
+pub fn roll_out(
     model: &Arc<Model>,
     states: &States,
     starts: &[Start],

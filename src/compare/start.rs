@@ -8,15 +8,18 @@ const STARTS: usize = 100;
 
 /// A sample, and the velocity to begin with.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Start {
+pub struct Start {
     /// sample
-    pub(super) sample: usize,
+    pub sample: usize,
     /// (nv)
-    pub(super) qvel: Vec<f64>,
+    pub qvel: Vec<f64>,
 }
 
 /// The starts of a recording; nothing where the body never falls.
-pub(super) fn starts(
+///
+/// # Errors
+/// The body that falls is none.
+pub fn starts(
     model: &Model,
     states: &States,
     settings: &Settings,

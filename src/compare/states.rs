@@ -324,12 +324,12 @@ impl States {
     }
 
     /// The controls in force at a time: the last ones given, 0 before the first.
-    pub(super) fn controls_at(&self, time: f64, ctrl: &mut [f64]) {
+    pub fn controls_at(&self, time: f64, ctrl: &mut [f64]) {
         controls_at(&self.controls, time, ctrl);
     }
 
     /// What the model's supplement remembers at sample `k`.
-    pub(super) fn memory(&self, k: usize) -> &[f64] {
+    pub fn memory(&self, k: usize) -> &[f64] {
         let n = self.memory.len() / self.len();
         &self.memory[k * n..(k + 1) * n]
     }

@@ -19,7 +19,7 @@ use super::predict::{
     ChannelResidual, Explained, ForceResidual, channel_residuals, force_residuals,
 };
 use super::problem::{Problem, ProblemConfig, Setting};
-use super::{ensemble, instrument, long_run};
+use super::{ensemble, instrument, long_run, rollouts};
 use crate::compare::{self, CompareError, Settings, rollouts::Rollouts};
 use crate::mujoco::Model;
 use crate::recording::Recording;
@@ -40,7 +40,7 @@ pub enum Verdict {
 /// One model on the held-out recordings, motion estimated.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Residual {
-    /// cost a knot
+    /// cost a knot, or a rollout
     pub cost_per_knot: f64,
     /// of every channel
     pub channels: Vec<ChannelResidual>,
@@ -107,7 +107,7 @@ pub fn test(
     config: &ProblemConfig,
     recordings: &[(String, Recording)],
     method: &Method,
-    rollouts: &Settings,
+    protocol: &Settings,
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Option<Holdout>, SysidError> {
     let problem = Problem::new(Arc::clone(&trained.model), config, recordings)?;
@@ -118,14 +118,24 @@ pub fn test(
     };
     let nominal = hold(&problem, |p| p.nominal);
     let identified = hold(&problem, |p| found(&p.name).unwrap_or(p.start));
-    let Some((nominal_residual, nominal_cost)) = residual(nominal.clone(), fit, method, watch)?
+    let Some((mut nominal_residual, mut nominal_cost)) =
+        residual(nominal.clone(), fit, method, watch)?
     else {
         return Ok(None);
     };
-    let Some((identified_residual, cost)) = residual(identified.clone(), fit, method, watch)?
+    let Some((mut identified_residual, mut cost)) =
+        residual(identified.clone(), fit, method, watch)?
     else {
         return Ok(None);
     };
+    if let Method::Rollout(settings) = method {
+        // recordings are explained as far as rollouts follow them, in units of the nominal model's deviations
+        let before = rollouts::costs(&nominal, settings, None)?;
+        let after = rollouts::costs(&identified, settings, Some(&before.scales))?;
+        (nominal_cost, cost) = (before.of_starts, after.of_starts);
+        nominal_residual.cost_per_knot = mean(&nominal_cost);
+        identified_residual.cost_per_knot = mean(&cost);
+    }
     let (gain, gain_sigma) = difference(&nominal_cost, &cost);
     let model_of = |p: &Problem| ensemble::model_at(&p.model, &p.parameters, &[]);
     let models = [model_of(&nominal)?, model_of(&identified)?].map(Arc::new);
@@ -133,7 +143,7 @@ pub fn test(
         &models,
         &[&nominal.parameters, &identified.parameters],
         recordings,
-        rollouts,
+        protocol,
     );
     let (prediction, no_prediction) = match predicted {
         Ok(prediction) => (Some(prediction), None),
@@ -182,7 +192,7 @@ pub(super) fn hold(problem: &Problem, value: impl Fn(&Parameter) -> f64) -> Prob
     out
 }
 
-/// Costs of every trial and knot.
+/// Costs of every trial and knot, or of every trial and rollout.
 type KnotCosts = Vec<Vec<f64>>;
 
 /// Estimates the motion with parameters held and the noise of `fit`.
@@ -212,13 +222,17 @@ fn residual(
     let costs = (problem.trials.iter().zip(&explained))
         .map(|(trial, e)| knot_costs(&problem, fit, trial.n_knots, e))
         .collect::<Vec<_>>();
-    let n: usize = costs.iter().map(Vec::len).sum();
     let residual = Residual {
-        cost_per_knot: costs.iter().flatten().sum::<f64>() / n as f64,
+        cost_per_knot: mean(&costs),
         channels: channel_residuals(&problem, &explained),
         forces: force_residuals(&problem, &explained, &fit.force_sigma),
     };
     Ok(Some((residual, costs)))
+}
+
+fn mean(costs: &KnotCosts) -> f64 {
+    let n: usize = costs.iter().map(Vec::len).sum();
+    costs.iter().flatten().sum::<f64>() / n as f64
 }
 
 /// Cost of every knot of a trial: its forces, and the samples from it to the next.

@@ -197,7 +197,6 @@ fn tracked(
         problem,
         force_scale: scale,
         beliefs: &beliefs,
-        stride: 1,
     };
     let Some(found) = likelihood.search(x, &settings.levels, settings.by_evidence, watch)? else {
         return Ok(None);

@@ -52,8 +52,6 @@ pub(super) struct Likelihood<'a> {
     pub force_scale: &'a [f64],
     /// one a trial
     pub beliefs: &'a [Belief],
-    /// steps of the model taken as one
-    pub stride: usize,
 }
 
 /// Where the search stands.
@@ -94,11 +92,9 @@ impl Likelihood<'_> {
     ) -> Result<Option<Vec<Followed>>, SysidError> {
         let force_sigma = self.problem.force_sigma_at(level, self.force_scale);
         let channel_sigma = self.channel_sigma(noise);
-        let stride = if smooth { 1 } else { self.stride };
         let following = Following {
             force_sigma: &force_sigma,
             channel_sigma: &channel_sigma,
-            stride,
             smooth,
         };
         let all: Vec<Result<Option<Followed>, SysidError>> = (self.beliefs.par_iter().enumerate())
@@ -130,10 +126,10 @@ impl Likelihood<'_> {
                 }
             }
         }
+        pass.nll += self.problem.parameters.prior_cost(x);
         for (i, p) in self.problem.parameters.iter_free().enumerate() {
             if p.prior_sigma.is_finite() {
                 let off = x[i] - p.to_x(p.prior);
-                pass.nll += 0.5 * (off / p.prior_sigma).powi(2);
                 pass.normal[(i, i)] += p.prior_sigma.powi(-2);
                 pass.right[i] -= off * p.prior_sigma.powi(-2);
             }

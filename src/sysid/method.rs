@@ -1,10 +1,11 @@
-//! The two ways to solve a problem, behind one interface.
+//! The ways to solve a problem, behind one interface.
 
 use super::SysidError;
 use super::fit::{Fit, Iteration, Start};
 use super::joint::{self, JointSettings};
 use super::predict::{self, Explained};
 use super::problem::Problem;
+use super::rollouts::{self, RolloutSettings};
 use super::shooting::{self, ShootingSettings};
 
 /// How to solve a problem.
@@ -14,6 +15,8 @@ pub enum Method {
     Joint(JointSettings),
     /// first states of windows are unknown, and simulations from there are compared with the sensors
     Shooting(ShootingSettings),
+    /// rollouts from recorded states are compared with the recordings, and parameters searched without slopes
+    Rollout(RolloutSettings),
 }
 
 impl Method {
@@ -23,7 +26,7 @@ impl Method {
     /// The first.
     pub fn fits(&self, problem: &Problem) -> Result<(), SysidError> {
         match self {
-            Self::Joint(_) => Ok(()),
+            Self::Joint(_) | Self::Rollout(_) => Ok(()),
             Self::Shooting(settings) => settings.fits(problem),
         }
     }
@@ -41,6 +44,7 @@ impl Method {
         match self {
             Self::Joint(settings) => joint::solve(problem, settings, start, watch),
             Self::Shooting(settings) => shooting::solve(problem, settings, start, watch),
+            Self::Rollout(settings) => rollouts::solve(problem, settings, start, watch),
         }
     }
 
@@ -59,7 +63,7 @@ impl Method {
                     ..settings.clone()
                 })
             }
-            Self::Shooting(_) => self.clone(),
+            Self::Shooting(_) | Self::Rollout(_) => self.clone(),
         }
     }
 
@@ -69,8 +73,8 @@ impl Method {
     /// The engine refuses a number.
     pub fn explain(&self, problem: &Problem, fit: &Fit) -> Result<Vec<Explained>, SysidError> {
         let mut explained = predict::explain(problem, &fit.x, &fit.trajectories)?;
-        if let Self::Shooting(_) = self {
-            // each window obeys the model; what inverse dynamics would make of the jumps between them is no force
+        if let Self::Shooting(_) | Self::Rollout(_) = self {
+            // windows and rollouts obey the model; what inverse dynamics would make of the jumps between them is no force
             for trial in &mut explained {
                 trial.force.fill(0.0);
             }

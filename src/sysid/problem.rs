@@ -137,6 +137,8 @@ pub struct Trial {
     pub controls: Vec<Vec<(f64, f64)>>,
     /// in the order of time
     pub samples: Vec<Sample>,
+    /// as it was recorded
+    pub recording: Arc<Recording>,
 }
 
 /// Everything the estimators need.

@@ -1,5 +1,7 @@
 //! One recording on the grid of the model's time step.
 
+use std::sync::Arc;
+
 use super::SysidError;
 use super::norm::Norm;
 use super::problem::{Channel, ProblemConfig, Sample, Setting, Stage, Trial};
@@ -165,6 +167,7 @@ pub(super) fn trial(
         start_s: start,
         controls,
         samples: all,
+        recording: Arc::new(recording.clone()),
     })
 }
 

@@ -11,4 +11,5 @@ mod coverage;
 mod inverse;
 mod mjcf;
 mod push;
+mod rollouts;
 mod simulate;

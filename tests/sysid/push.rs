@@ -26,7 +26,7 @@ const PUSH: &str = r#"<mujoco><option timestep="0.002" cone="elliptic" impratio=
 
 const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
 
-fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
+pub(crate) fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
     Channel {
         name: name.into(),
         kind,
@@ -162,4 +162,52 @@ fn push_task_from_sixteen_random_starts() {
 #[ignore = "half a minute or more"]
 fn push_task_with_noise_from_sixteen_random_starts() {
     assert_eq!(successes(5e-4, 5e-4, 0.10, 16), 16);
+}
+
+/// What the likelihood of one recording with half a millimetre of noise can tell, level by level of unexplained force,
+/// from the truth: `cargo test --release --test sysid -- --ignored push_task_information --nocapture`
+#[test]
+#[ignore = "a table for docs/sysid.md"]
+fn push_task_information() {
+    for seed in 3..4 {
+        let (model, recording) = pushed(5e-4, seed);
+        let problem =
+            Problem::new(model, &config(5e-4), &[("push".into(), recording)]).expect("fits");
+        for level in [1.0, 0.3, 0.1, 0.03, 0.01, 3e-3] {
+            let start = Start {
+                x: TRUTH.map(f64::ln).to_vec(),
+                trajectories: None,
+                force_scale: None,
+            };
+            let settings = JointSettings {
+                levels: vec![level],
+                by_evidence: false,
+                ..JointSettings::default()
+            };
+            let mut first = None;
+            let fit = solve(&problem, &settings, &start, &mut |i| {
+                first.get_or_insert(i.cost);
+                true
+            })
+            .expect("solved");
+            let percent = |j: usize| 100.0 * (fit.x[j].exp() / TRUTH[j] - 1.0);
+            let n = fit.innovations.n_parameters;
+            let mut information = nalgebra::DMatrix::zeros(n, n);
+            for row in fit.innovations.rows.chunks_exact(n + 1) {
+                let s = nalgebra::DVector::from_column_slice(&row[..n]);
+                information.ger(1.0, &s, &s, 1.0);
+            }
+            let sigma = information
+                .try_inverse()
+                .map_or(f64::NAN, |c| 100.0 * c[(1, 1)].sqrt());
+            println!(
+                "seed {seed} level {level:.0e}: floor {:+.1} % tip {:+.1} % (sigma {sigma:.1} %) mass {:+.1} %, −log p {:.1}, at the truth {:.1}",
+                percent(0),
+                percent(1),
+                percent(2),
+                fit.negative_log_evidence,
+                first.unwrap_or(f64::NAN)
+            );
+        }
+    }
 }

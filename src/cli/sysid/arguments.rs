@@ -10,6 +10,7 @@ use crate::recording::{Binding, Recording, read_trials};
 use crate::sysid::SysidError;
 use crate::sysid::joint::JointSettings;
 use crate::sysid::method::Method;
+use crate::sysid::rollouts::RolloutSettings;
 use crate::sysid::shooting::ShootingSettings;
 
 /// How to solve.
@@ -19,6 +20,8 @@ enum MethodName {
     Joint,
     /// Simulations of windows whose first states are estimated
     Shooting,
+    /// Rollouts from recorded states, as `phantom compare` makes them by the protocol; searched without slopes
+    Rollout,
 }
 
 #[derive(Debug, Args)]
@@ -47,13 +50,13 @@ pub(super) struct FitArgs {
     /// Models to draw from the posterior
     #[arg(long, value_name = "N", default_value = "32", value_parser = count)]
     pub(super) ensemble: usize,
-    /// Seed of the draws
+    /// Seed of the draws, and of the search of --method rollout
     #[arg(long, value_name = "S", default_value = "0")]
     pub(super) seed: u64,
     /// Time step to identify with, s, in place of the model's; the interval between samples is often best
     #[arg(long, value_name = "S", value_parser = positive)]
     pub(super) timestep: Option<f64>,
-    /// How to solve: by inverse dynamics, or by simulating windows
+    /// How to solve: by inverse dynamics, by simulating windows, or by searching for the best rollouts
     #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,
     /// Length of a window of shooting, s; `inf` for whole recordings [default: 0.5]
@@ -65,7 +68,7 @@ pub(super) struct FitArgs {
     /// Windows of shooting start from the measured states as they are
     #[arg(long)]
     hold_states: bool,
-    /// Most iterations (joint: at a level of unexplained force)
+    /// Most iterations (joint: at a level of unexplained force; rollout: generations)
     #[arg(long, value_name = "N", value_parser = count)]
     max_iterations: Option<usize>,
     /// Also fit without each sensor, and predict it
@@ -82,7 +85,7 @@ impl FitArgs {
         self.parameters.as_deref().unwrap_or(Path::new(""))
     }
 
-    pub(super) fn method(&self) -> Result<Method, CliError> {
+    pub(super) fn method(&self, protocol: &Settings) -> Result<Method, CliError> {
         let joint = JointSettings::default();
         let shooting = ShootingSettings::default();
         let only_shooting = [
@@ -90,16 +93,24 @@ impl FitArgs {
             ("--jump-sigma", self.jump_sigma.is_some()),
             ("--hold-states", self.hold_states),
         ];
+        if self.method != MethodName::Shooting
+            && let Some((flag, _)) = only_shooting.iter().find(|(_, given)| *given)
+        {
+            let reason = format!("{flag} is for --method shooting; the others have no windows");
+            return Err(SysidError::Setting { reason }.into());
+        }
         match self.method {
-            MethodName::Joint => {
-                if let Some((flag, _)) = only_shooting.iter().find(|(_, given)| *given) {
-                    let reason =
-                        format!("{flag} is for --method shooting; the joint method has no windows");
-                    return Err(SysidError::Setting { reason }.into());
-                }
-                Ok(Method::Joint(JointSettings {
-                    max_iterations: self.max_iterations.unwrap_or(joint.max_iterations),
-                    ..joint
+            MethodName::Joint => Ok(Method::Joint(JointSettings {
+                max_iterations: self.max_iterations.unwrap_or(joint.max_iterations),
+                ..joint
+            })),
+            MethodName::Rollout => {
+                let rollout = RolloutSettings::default();
+                Ok(Method::Rollout(RolloutSettings {
+                    protocol: protocol.clone(),
+                    generations: self.max_iterations.unwrap_or(rollout.generations),
+                    seed: self.seed,
+                    ..rollout
                 }))
             }
             MethodName::Shooting => {

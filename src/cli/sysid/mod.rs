@@ -40,6 +40,7 @@ use crate::sysid::{check, holdout, leave_out};
   phantom sysid --model emps.xml --parameters emps.toml log.csv --binding emps_binding.toml --out id --json
   phantom sysid --model arm.xml --parameters arm.toml log.mcap --out id --leave-one-sensor-out
   phantom sysid --model toss.xml --parameters toss.toml tosses.csv.gz --out id --method shooting --window inf
+  phantom sysid --model cube.xml --parameters cube.toml tosses.csv.gz --protocol drops.toml --out id --method rollout
   phantom sysid design --model arm.xml --parameters arm.toml          what to record next"
 )]
 pub(super) struct SysidArgs {
@@ -154,12 +155,12 @@ impl FitArgs {
         let path = model_path(self.model.as_deref());
         let model = Arc::new(self.load(&path)?);
         let config: ProblemConfig = read_toml(self.parameters())?;
-        let method = self.method()?;
         let rollouts: Settings = match &self.protocol {
             Some(file) => read_toml(file)?,
             None => Settings::default(),
         };
         rollouts.check()?;
+        let method = self.method(&rollouts)?;
         let [recordings, held_out] = self.recordings(&rollouts)?;
         let problem = Problem::new(Arc::clone(&model), &config, &recordings)?;
         if problem.parameters.is_empty() {
