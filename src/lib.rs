@@ -5,6 +5,7 @@
 //!
 //! ```text
 //! main → cli → {train, bench} → {npg, rollout, evaluate, run_dir}
+//!        cli → gap → {sysid, compare, supplement, mjcf}
 //!        cli → {compare, rig} → {report, recording, rollout}
 //!        cli → {reproduce, adapt} → {train, sysid, compare, rig, report}
 //!                  rollout → {task, policy, exploration, randomise, rng} → mujoco → mujoco_sys

@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use crate::adapt::AdaptError;
 use crate::compare::CompareError;
+use crate::gap::GapError;
 use crate::mujoco::MujocoError;
 use crate::npg::NpgError;
 use crate::policy::PolicyError;
@@ -106,6 +107,9 @@ pub enum CliError {
     /// A model cannot be identified.
     #[error(transparent)]
     Sysid(#[from] SysidError),
+    /// What the model lacks cannot be looked for.
+    #[error(transparent)]
+    Gap(#[from] GapError),
     /// The processes of the team cannot go on together.
     #[error(transparent)]
     Team(#[from] TeamError),
@@ -191,7 +195,12 @@ impl CliError {
         match self {
             Self::Mujoco(engine)
             | Self::Compare(CompareError::Mujoco(engine))
-            | Self::Sysid(SysidError::Mujoco(engine)) => Some(engine),
+            | Self::Sysid(SysidError::Mujoco(engine))
+            | Self::Gap(
+                GapError::Mujoco(engine)
+                | GapError::Sysid(SysidError::Mujoco(engine))
+                | GapError::Compare(CompareError::Mujoco(engine)),
+            ) => Some(engine),
             Self::Rig { source, .. } => match source {
                 RigError::Mujoco(engine) => Some(engine),
                 RigError::Task(error) => error.engine(),

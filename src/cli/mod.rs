@@ -8,6 +8,7 @@ mod bench;
 mod compare;
 mod error;
 mod eval;
+mod gap;
 mod record;
 mod recording;
 mod replay;
@@ -62,6 +63,7 @@ enum Command {
     Reproduce(reproduce::ReproduceArgs),
     Adapt(adapt::AdaptArgs),
     Sysid(sysid::SysidArgs),
+    Gap(gap::GapArgs),
 }
 
 impl Cli {
@@ -81,6 +83,7 @@ impl Cli {
             Command::Reproduce(args) => args.run(),
             Command::Adapt(args) => args.run(),
             Command::Sysid(args) => args.run(),
+            Command::Gap(args) => args.run(),
         }
     }
 }

@@ -50,6 +50,15 @@ pub struct Signal {
     /// (n) by the machine
     #[serde(skip)]
     pub measured: Vec<f64>,
+    #[serde(skip)]
+    torque: bool,
+}
+
+impl Signal {
+    /// Whether it is the torque or force of a joint's motors, by inverse dynamics and as commanded.
+    pub fn is_torque(&self) -> bool {
+        self.torque
+    }
 }
 
 /// All signals of a recording.
@@ -232,14 +241,17 @@ fn torques(
         let keep = |k: &usize| used(states, settings, *k);
         let kept: Vec<usize> = (0..rows.len()).filter(keep).collect();
         let choose = |from: &[f64]| kept.iter().map(|k| from[*k]).collect::<Vec<_>>();
-        signal(
-            name.to_owned(),
-            unit,
-            "all",
-            choose(&states.time_s),
-            choose(&computed),
-            choose(&measured),
-        )
+        Signal {
+            torque: true,
+            ..signal(
+                name.to_owned(),
+                unit,
+                "all",
+                choose(&states.time_s),
+                choose(&computed),
+                choose(&measured),
+            )
+        }
     };
     (0..n).map(column).collect()
 }
@@ -344,5 +356,6 @@ fn signal(
         time_s,
         computed,
         measured,
+        torque: false,
     }
 }

@@ -1,7 +1,121 @@
 //! What the simulation is missing: where it and recorded data disagree, and which physics would mend it.
 //!
 //! ```text
-//! effect     what may be missing, where, and how a model says it
+//! fit       parameters of the base model, from windows of the training recordings          [windows]
+//! locate    where more is left than noise explains: joint, phase, direction, speed          [locate]
+//! screen    every effect of the catalogue at every place: would it explain what is left?    [screen, score]
+//! refit     the best few in full; forward, delete, swap                                     [search]
+//! name      how sure, and what these recordings cannot tell apart                           [name]
+//! add       the effects in the model file                                                   [effect]
+//! verify    held-out recordings, before and after                                           [verify]
 //! ```
+//!
+//! [`run()`] does all of it in memory; nothing is printed, and nothing read but the model's own assets.
 
 pub mod effect;
+pub mod figures;
+mod left;
+mod locate;
+mod model;
+mod name;
+pub mod result;
+mod run;
+mod score;
+mod screen;
+mod search;
+mod verify;
+mod windows;
+
+use thiserror::Error;
+
+use crate::compare::CompareError;
+use crate::mujoco::MujocoError;
+use crate::sysid::SysidError;
+use crate::sysid::fit::Iteration;
+pub use model::Chosen;
+pub use run::{Input, MissingSeries, Options, Outcome, run};
+pub use search::Limits;
+
+/// Why there is no answer.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum GapError {
+    /// Recordings do not fit the model, or the engine failed.
+    #[error(transparent)]
+    Sysid(#[from] SysidError),
+    /// The engine failed.
+    #[error(transparent)]
+    Mujoco(#[from] MujocoError),
+    /// The model cannot be changed.
+    #[error(transparent)]
+    Effect(#[from] effect::EffectError),
+    /// Model and recordings cannot be compared.
+    #[error(transparent)]
+    Compare(#[from] CompareError),
+    /// An input that makes no sense.
+    #[error("{reason}")]
+    Input {
+        /// what, and what is expected
+        reason: String,
+    },
+    /// Asked to stop.
+    #[error("stopped")]
+    Stopped,
+}
+
+/// A part of the work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// base model
+    Fit,
+    /// residual by place and phase
+    Locate,
+    /// all candidates
+    Screen,
+    /// the best of them
+    Refit,
+    /// classes
+    Name,
+    /// held-out recordings
+    Verify,
+}
+
+impl Stage {
+    /// As shown.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fit => "fit",
+            Self::Locate => "locate",
+            Self::Screen => "screen",
+            Self::Refit => "refit",
+            Self::Name => "name",
+            Self::Verify => "verify",
+        }
+    }
+}
+
+/// What happens: the stage, a note on it, and the part that is done if known. `false` stops the work.
+pub type Report<'a> = &'a mut dyn FnMut(Stage, &str, Option<f64>) -> bool;
+
+/// Tells whoever watches.
+struct Watch<'a> {
+    report: Report<'a>,
+    stage: Stage,
+    note: String,
+}
+
+impl Watch<'_> {
+    fn stage(&mut self, stage: Stage) {
+        self.stage = stage;
+        (self.report)(stage, &self.note, None);
+    }
+
+    fn fit(&mut self, i: &Iteration) -> bool {
+        let note = format!("{} cost {:.6e}", self.note, i.cost);
+        (self.report)(self.stage, note.trim(), None)
+    }
+
+    fn part(&mut self, done: usize, of: usize) -> bool {
+        (self.report)(self.stage, &self.note, Some(done as f64 / of.max(1) as f64))
+    }
+}

@@ -171,7 +171,7 @@ pub fn test(
 }
 
 /// The problem with every parameter held at `value`.
-pub(super) fn hold(problem: &Problem, value: impl Fn(&Parameter) -> f64) -> Problem {
+pub(crate) fn hold(problem: &Problem, value: impl Fn(&Parameter) -> f64) -> Problem {
     let mut out = problem.clone();
     for p in &mut out.parameters.all {
         p.start = value(p);

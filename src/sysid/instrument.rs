@@ -9,7 +9,7 @@ use crate::mjcf::glob;
 use crate::recording::{Channel, Kind, Recording, Stream};
 
 /// `recording` as perfect instruments would have made it, were the parameters at their `start`.
-pub(super) fn corrected(recording: &Recording, parameters: &Parameters) -> Recording {
+pub(crate) fn corrected(recording: &Recording, parameters: &Parameters) -> Recording {
     let mut out = Recording {
         meta: recording.meta.clone(),
         streams: Vec::new(),

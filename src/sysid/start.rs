@@ -15,7 +15,7 @@ use super::smooth::smooth;
 use crate::mujoco::{Data, Model};
 
 /// Positions of all knots (`n_knots` × nq).
-pub(super) fn trajectory(
+pub(crate) fn trajectory(
     problem: &Problem,
     trial: &Trial,
     x: &[f64],

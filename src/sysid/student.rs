@@ -8,7 +8,7 @@ const MANY: f64 = 1e5;
 const FEW: f64 = 0.1;
 
 /// t with P(|T| ≤ t) = `p` for `dof` degrees of freedom; any number above 0, infinity is the normal distribution.
-pub(super) fn two_sided_t(p: f64, dof: f64) -> f64 {
+pub(crate) fn two_sided_t(p: f64, dof: f64) -> f64 {
     StudentsT::new(0.0, 1.0, within(dof)).map_or(f64::NAN, |t| t.inverse_cdf(0.5 * (1.0 + p)))
 }
 

@@ -141,10 +141,10 @@ impl FitArgs {
 }
 
 /// Recordings with names.
-type Named = Vec<(String, Recording)>;
+pub(in crate::cli) type Named = Vec<(String, Recording)>;
 
 /// Recordings with names: the file's, and the trial's where a file has several.
-pub(super) fn read_all(
+pub(in crate::cli) fn read_all(
     files: &[PathBuf],
     binding: Option<&Path>,
 ) -> Result<Vec<(String, Recording)>, CliError> {

@@ -1,6 +1,6 @@
 //! `phantom sysid`: parameters of a model from recordings.
 
-mod arguments;
+pub(in crate::cli) mod arguments;
 mod design;
 mod write;
 

@@ -66,6 +66,11 @@ impl Place {
         model.id(ObjectKind::Joint, &name).ok()
     }
 
+    /// Name of its joint.
+    pub(in crate::gap) fn joint_name<'a>(&self, model: &'a Model) -> Option<&'a str> {
+        model.name(ObjectKind::Joint, self.joint(model)?)
+    }
+
     /// Its body: itself, that of its joint or geom.
     pub(super) fn body(&self, model: &Model) -> Option<usize> {
         match self.kind {

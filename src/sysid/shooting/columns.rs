@@ -17,7 +17,7 @@ const STEP_PARAMETER: f64 = 1e-6;
 
 /// All windows at one point of the search.
 #[derive(Clone, Copy)]
-pub(super) struct Point<'a> {
+pub(crate) struct Point<'a> {
     pub problem: &'a Problem,
     pub windows: &'a [Window],
     /// samples of each window
@@ -33,7 +33,7 @@ pub(super) struct Point<'a> {
 
 /// Derivatives of one window by every unknown: 2 nv of its first state if that is free, then the parameters.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Columns {
+pub(crate) struct Columns {
     /// per unknown (samples)
     pub samples: Vec<Vec<f64>>,
     /// per unknown (2 nv) of the last state
@@ -45,13 +45,13 @@ type Change = (usize, f64);
 
 impl Point<'_> {
     /// Every window simulated; `None` for those that diverge.
-    pub(super) fn simulate(&self) -> Result<Vec<Option<Simulated>>, SysidError> {
+    pub(crate) fn simulate(&self) -> Result<Vec<Option<Simulated>>, SysidError> {
         let all: Vec<usize> = (0..self.windows.len()).collect();
         self.simulate_some(&all)
     }
 
     /// Some of the windows, likewise.
-    pub(super) fn simulate_some(
+    pub(crate) fn simulate_some(
         &self,
         which: &[usize],
     ) -> Result<Vec<Option<Simulated>>, SysidError> {
@@ -78,7 +78,7 @@ impl Point<'_> {
     }
 
     /// Unknowns of a window's first state.
-    pub(super) fn n_state(&self) -> usize {
+    pub(crate) fn n_state(&self) -> usize {
         if self.free_states {
             2 * self.problem.model.nv()
         } else {
@@ -87,7 +87,7 @@ impl Point<'_> {
     }
 
     /// Derivatives where the simulations are `base`.
-    pub(super) fn columns(&self, base: &[Simulated]) -> Result<Vec<Columns>, SysidError> {
+    pub(crate) fn columns(&self, base: &[Simulated]) -> Result<Vec<Columns>, SysidError> {
         let n_state = self.n_state();
         let step = |j| {
             if j < n_state / 2 {

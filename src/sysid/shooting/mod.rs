@@ -25,15 +25,15 @@
 //!
 //! Reference: Bock 1983, "Recent advances in parameter identification techniques for O.D.E.".
 
-mod columns;
+pub(crate) mod columns;
 mod descent;
 mod measured;
 mod motion;
 pub mod probe;
 mod regression;
-mod rows;
-mod simulate;
-mod window;
+pub(crate) mod rows;
+pub(crate) mod simulate;
+pub(crate) mod window;
 
 use super::SysidError;
 pub use super::fit::{Fit, Iteration, Start, Status};

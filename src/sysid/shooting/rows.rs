@@ -12,7 +12,7 @@ const STEP: f64 = 1e-7;
 
 /// Rows of one window, each times the root of its norm's weight.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Rows {
+pub(crate) struct Rows {
     /// knot in the trial, of each row
     pub knots: Vec<usize>,
     /// numbers a row
@@ -31,7 +31,7 @@ impl Rows {
     }
 
     /// The rows, each with its knot.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (usize, &[f64])> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, &[f64])> {
         self.knots
             .iter()
             .copied()
@@ -57,7 +57,7 @@ impl Point<'_> {
     }
 
     /// Cost of the residuals of window `w` and of the jump at its end.
-    pub(super) fn window_cost(
+    pub(crate) fn window_cost(
         &self,
         w: usize,
         simulated: &Simulated,
@@ -83,7 +83,7 @@ impl Point<'_> {
     }
 
     /// Rows of window `w`.
-    pub(super) fn rows(
+    pub(crate) fn rows(
         &self,
         w: usize,
         simulated: &Simulated,

@@ -9,7 +9,7 @@ use crate::sysid::problem::Problem;
 
 /// What the model makes of a window.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Simulated {
+pub(crate) struct Simulated {
     /// (knots × channels) sensors
     sensors: Vec<f64>,
     /// (knots × nq)
@@ -20,7 +20,7 @@ pub(super) struct Simulated {
 
 impl Simulated {
     /// Each sample as its sensor has it, and the slope there, per step.
-    pub(super) fn samples<'a>(
+    pub(crate) fn samples<'a>(
         &'a self,
         problem: &'a Problem,
         window: &'a Window,
@@ -40,11 +40,11 @@ impl Simulated {
 
 /// Simulations to be used again: to make one takes as long as a hundred steps.
 #[derive(Default)]
-pub(super) struct Pool(Mutex<Vec<Data>>);
+pub(crate) struct Pool(Mutex<Vec<Data>>);
 
 impl Pool {
     /// One of the problem's model, its numbers and state whatever they were.
-    pub(super) fn take(&self, problem: &Problem) -> Result<Data, SysidError> {
+    pub(crate) fn take(&self, problem: &Problem) -> Result<Data, SysidError> {
         let found = self.0.lock().unwrap_or_else(PoisonError::into_inner).pop();
         Ok(match found {
             Some(data) => data,
@@ -53,21 +53,21 @@ impl Pool {
     }
 
     /// Gives one back that no error has stopped.
-    pub(super) fn put(&self, data: Data) {
+    pub(crate) fn put(&self, data: Data) {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         all.push(data);
     }
 }
 
 /// A simulation with parameters of its own.
-pub(super) struct Simulator<'a> {
+pub(crate) struct Simulator<'a> {
     problem: &'a Problem,
     data: Data,
 }
 
 impl<'a> Simulator<'a> {
     /// What `run` gives with the parameters `x`; the simulation comes from `pool`, and returns there.
-    pub(super) fn with<R>(
+    pub(crate) fn with<R>(
         problem: &'a Problem,
         pool: &Pool,
         x: &[f64],
@@ -82,7 +82,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Simulates a window from `state` under the controls of its trial (knots × nu). `None` where it diverges.
-    pub(super) fn run(
+    pub(crate) fn run(
         &mut self,
         window: &Window,
         state: &State,

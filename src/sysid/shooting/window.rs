@@ -5,7 +5,7 @@ use crate::sysid::problem::{Problem, Stage};
 
 /// Knots `first ..= last` of a trial. The last knot is the next window's first.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Window {
+pub(crate) struct Window {
     pub trial: usize,
     pub first: usize,
     pub last: usize,
@@ -17,14 +17,14 @@ pub(super) struct Window {
 
 /// Position (nq) and velocity (nv) at the start of a window.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct State {
+pub(crate) struct State {
     pub qpos: Vec<f64>,
     pub qvel: Vec<f64>,
 }
 
 /// A sensor sample on a window's grid: between its knots `knot` and `knot + 1`.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Placed {
+pub(crate) struct Placed {
     pub knot: usize,
     pub part: f64,
     /// in the trial
@@ -35,7 +35,7 @@ pub(super) struct Placed {
 const ON_KNOT: f64 = 1e-4;
 
 /// Every trial in windows of equal length, as near as whole windows allow to `window_s`.
-pub(super) fn cut(problem: &Problem, window_s: f64) -> Vec<Window> {
+pub(crate) fn cut(problem: &Problem, window_s: f64) -> Vec<Window> {
     let h = problem.model.timestep();
     let mut windows = Vec::new();
     for (trial, t) in problem.trials.iter().enumerate() {
@@ -55,7 +55,7 @@ pub(super) fn cut(problem: &Problem, window_s: f64) -> Vec<Window> {
 
 impl Window {
     /// Its first `steps`.
-    pub(super) fn up_to(&self, steps: usize) -> Self {
+    pub(crate) fn up_to(&self, steps: usize) -> Self {
         let last = self.last.min(self.first + steps);
         Self {
             last,
@@ -65,14 +65,14 @@ impl Window {
     }
 
     /// Number of knots.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.last - self.first + 1
     }
 }
 
 impl State {
     /// The state of a trajectory (knots × nq) at the start of a window.
-    pub(super) fn on(
+    pub(crate) fn on(
         problem: &Problem,
         window: &Window,
         trajectory: &[f64],
@@ -99,7 +99,7 @@ impl State {
     }
 
     /// Moved along a tangent vector: nv of position, then nv of velocity.
-    pub(super) fn moved(&self, problem: &Problem, tangent: &[f64]) -> Result<Self, SysidError> {
+    pub(crate) fn moved(&self, problem: &Problem, tangent: &[f64]) -> Result<Self, SysidError> {
         let mut new = self.clone();
         let (position, velocity) = tangent.split_at(self.qvel.len());
         problem.model.integrate_pos(&mut new.qpos, position, 1.0)?;
@@ -110,7 +110,7 @@ impl State {
     }
 
     /// The tangent vector at `from` that leads here: nv of position, then nv of velocity.
-    pub(super) fn minus(&self, from: &Self, problem: &Problem) -> Result<Vec<f64>, SysidError> {
+    pub(crate) fn minus(&self, from: &Self, problem: &Problem) -> Result<Vec<f64>, SysidError> {
         let nv = self.qvel.len();
         let mut tangent = vec![0.0; 2 * nv];
         let (position, velocity) = tangent.split_at_mut(nv);
@@ -127,7 +127,7 @@ impl State {
 /// Samples of each window, in the order of knots, with the delays that parameters `x` give the channels.
 ///
 /// Samples before the first and after the last knot of the trial are left out.
-pub(super) fn place(problem: &Problem, windows: &[Window], x: &[f64]) -> Vec<Vec<Placed>> {
+pub(crate) fn place(problem: &Problem, windows: &[Window], x: &[f64]) -> Vec<Vec<Placed>> {
     let h = problem.model.timestep();
     let free = problem.free_values(x);
     let mut placed: Vec<Vec<Placed>> = vec![Vec::new(); windows.len()];

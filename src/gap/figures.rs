@@ -1,0 +1,453 @@
+//! The answer as sentences, tables and charts.
+
+use std::fmt::Write as _;
+
+use super::result::{Answer, Named, Verdict};
+use super::run::{MissingSeries, Outcome};
+use crate::report::number;
+use crate::report::{Chart, Line, Report, Section, Table};
+
+/// Lines of the evidence that are shown.
+const LINES: usize = 25;
+/// Lines of a diff around a change.
+const CONTEXT: usize = 2;
+
+/// What a person has to know, line by line.
+pub fn summary(answer: &Answer) -> Vec<String> {
+    let mut out = Vec::new();
+    for l in answer.located.iter().take(5) {
+        out.push(format!(
+            "disagreement: {} ({}): {} {} rms, mean {}",
+            l.channel,
+            l.phase,
+            number(l.effect_size),
+            l.unit,
+            number(l.mean)
+        ));
+    }
+    out.push(verdict(answer));
+    for e in &answer.effects {
+        out.push(format!("  {}", sentence(e)));
+    }
+    for l in &answer.left {
+        out.push(format!(
+            "  unexplained: {} {} rms at {}, of which {:.0} % follows from {}",
+            number(l.size),
+            l.unit,
+            l.channel,
+            100.0 * l.explainable,
+            inputs(&l.inputs)
+        ));
+    }
+    if let Some(h) = &answer.gap.holdout {
+        let floor = h
+            .noise_floor
+            .map_or(String::new(), |f| format!("; noise alone {}", number(f)));
+        out.push(format!(
+            "held-out {}: {} -> {} {}{floor}",
+            h.quantity,
+            number(h.before),
+            number(h.after),
+            h.unit
+        ));
+    }
+    for r in &answer.gap.rollout {
+        let horizon = r
+            .horizon_s
+            .map_or("to the end".to_owned(), |h| format!("{h} s"));
+        out.push(format!(
+            "held-out rollouts, {horizon}: {} -> {} {}",
+            number(r.before),
+            number(r.after),
+            r.unit
+        ));
+    }
+    for worse in &answer.gap.worse {
+        out.push(format!("WORSE: {worse}"));
+    }
+    out.extend(answer.gap.notes.iter().map(|n| format!("note: {n}")));
+    if let Some(next) = &answer.next_experiment {
+        out.push(format!(
+            "next: {} ({})",
+            next.motion,
+            next.effects.join(", ")
+        ));
+    }
+    out
+}
+
+fn verdict(answer: &Answer) -> String {
+    match answer.verdict {
+        Verdict::Effect => format!("verdict: effect, {} found", answer.effects.len()),
+        Verdict::Ambiguous => format!(
+            "verdict: ambiguous, {} found, of which some have several names on these recordings",
+            answer.effects.len()
+        ),
+        Verdict::Unknown => {
+            "verdict: unknown, something is missing that no effect of the catalogue explains"
+                .to_owned()
+        }
+        Verdict::None => format!(
+            "verdict: none, nothing is missing that these recordings show ({} candidates tested)",
+            answer.n_candidates
+        ),
+    }
+}
+
+fn inputs(all: &[(String, f64)]) -> String {
+    let most = all.iter().max_by(|a, b| a.1.total_cmp(&b.1));
+    most.map_or(String::new(), |(name, _)| name.clone())
+}
+
+/// An effect in a sentence.
+fn sentence(e: &Named) -> String {
+    let mut out = format!("{} at {}:", e.name, e.at);
+    for v in &e.parameters {
+        let _ = write!(out, " {} {}", v.name, number(v.value));
+        if let Some([low, high]) = v.ci95 {
+            let _ = write!(out, " ({} to {})", number(low), number(high));
+        }
+        if v.unit != "1" {
+            let _ = write!(out, " {}", v.unit);
+        }
+        out.push(',');
+    }
+    let _ = write!(
+        out,
+        " probability {:.2}, p {:.1e}",
+        e.probability, e.p_value
+    );
+    if e.class.len() > 1 {
+        let _ = write!(out, "; could also be {}", e.class[1..].join(", "));
+    }
+    out
+}
+
+/// The page.
+pub fn report(title: &str, outcome: &Outcome, diff: &str) -> Report {
+    let answer = &outcome.answer;
+    let mut page = Report::new(title);
+    let mut first = Section::new("Answer");
+    for line in summary(answer) {
+        first = first.text(line.trim());
+    }
+    page.sections.push(first);
+    page.sections.push(effects(answer));
+    page.sections.push(maps(outcome));
+    page.sections.push(evidence(answer));
+    page.sections.push(gap(answer));
+    let mut change = Section::new("Change of the model file");
+    let mut table = Table::new("model.diff", &["line"]);
+    for line in diff.lines() {
+        table.push(vec![line.to_owned()]);
+    }
+    change = change.table(table);
+    page.sections.push(change);
+    page.sections.push(untested(answer));
+    page
+}
+
+fn effects(answer: &Answer) -> Section {
+    let mut table = Table::new(
+        "What was found",
+        &[
+            "effect",
+            "where",
+            "law",
+            "parameter",
+            "value",
+            "95 %",
+            "unit",
+            "probability",
+            "p",
+            "class",
+            "as",
+        ],
+    );
+    for e in &answer.effects {
+        for v in &e.parameters {
+            let interval = v.ci95.map_or("held".to_owned(), |[a, b]| {
+                format!("{} to {}", number(a), number(b))
+            });
+            table.push(vec![
+                e.name.clone(),
+                e.at.clone(),
+                e.law.clone(),
+                v.name.clone(),
+                number(v.value),
+                interval,
+                v.unit.clone(),
+                format!("{:.3}", e.probability),
+                format!("{:.1e}", e.p_value),
+                e.class.join(", "),
+                e.expressed_as.to_owned(),
+            ]);
+        }
+    }
+    Section::new("Effects").table(table)
+}
+
+fn maps(outcome: &Outcome) -> Section {
+    let answer = &outcome.answer;
+    let mut section = Section::new("Where model and recordings disagree").text(&format!(
+        "Force at each joint that brings the fitted model onto the recording, constant over windows of {} s ({} windows).",
+        answer.window_s, answer.n_windows
+    ));
+    let mut table = Table::new(
+        "Cells whose mean is not chance, base model",
+        &[
+            "joint",
+            "phase",
+            "rms",
+            "mean",
+            "unit",
+            "p (family)",
+            "windows",
+        ],
+    );
+    for l in &answer.located {
+        table.push(vec![
+            l.channel.clone(),
+            l.phase.clone(),
+            number(l.effect_size),
+            number(l.mean),
+            l.unit.clone(),
+            format!("{:.1e}", l.p_value),
+            l.n.to_string(),
+        ]);
+    }
+    section = section.table(table);
+    if let [Some(before), Some(after)] = &outcome.missing {
+        for j in 0..before.joints.len() {
+            if after.joints.get(j) == before.joints.get(j) {
+                section = section
+                    .chart(over_speed(before, after, j))
+                    .chart(over_time(before, after, j));
+            }
+        }
+    }
+    section
+}
+
+fn over_speed(before: &MissingSeries, after: &MissingSeries, j: usize) -> Chart {
+    let mut order: Vec<usize> = (0..before.force[j].len()).collect();
+    order.sort_by(|a, b| before.velocity[j][*a].total_cmp(&before.velocity[j][*b]));
+    let pick = |v: &[f64]| {
+        order
+            .iter()
+            .filter_map(|i| v.get(*i).copied())
+            .collect::<Vec<_>>()
+    };
+    let x = pick(&before.velocity[j]);
+    let mut late = pick(&after.force[j]);
+    late.resize(x.len(), f64::NAN);
+    Chart::new(
+        &format!("{}: missing force over velocity", before.joints[j]),
+        "velocity (rad/s or m/s)",
+        &format!("force ({})", before.units[j]),
+        x,
+    )
+    .series("before", Line::Points, pick(&before.force[j]))
+    .series("after", Line::Points, late)
+}
+
+fn over_time(before: &MissingSeries, after: &MissingSeries, j: usize) -> Chart {
+    let x: Vec<f64> = (0..before.force[j].len()).map(|i| i as f64).collect();
+    let mut late = after.force[j].clone();
+    late.resize(x.len(), f64::NAN);
+    Chart::new(
+        &format!("{}: missing force, window by window", before.joints[j]),
+        "window",
+        &format!("force ({})", before.units[j]),
+        x,
+    )
+    .series("before", Line::Solid, before.force[j].clone())
+    .series("after", Line::Solid, late)
+}
+
+fn evidence(answer: &Answer) -> Section {
+    let mut table = Table::new(
+        "First screen, best first",
+        &[
+            "effect",
+            "where",
+            "expected",
+            "part of the cost",
+            "p (alone)",
+            "visible",
+            "of motors",
+        ],
+    );
+    for t in answer.evidence.iter().take(LINES) {
+        let expected: Vec<String> = t.expected.iter().map(|v| number(*v)).collect();
+        table.push(vec![
+            t.name.clone(),
+            t.at.clone(),
+            expected.join(" "),
+            format!("{:.1} %", 100.0 * t.gain),
+            format!("{:.1e}", t.p_value),
+            format!("{:.0} %", 100.0 * t.visible),
+            t.size
+                .map_or("-".to_owned(), |s| format!("{:.1} %", 100.0 * s)),
+        ]);
+    }
+    Section::new("Evidence")
+        .text(&format!(
+            "{} candidates were tested against the fitted base model.",
+            answer.n_candidates
+        ))
+        .table(table)
+}
+
+fn gap(answer: &Answer) -> Section {
+    let mut section = Section::new("Held-out recordings, before and after");
+    for note in &answer.gap.notes {
+        section = section.text(note);
+    }
+    let mut table = Table::new(
+        "Errors by channel",
+        &["channel", "quantity", "before", "after", "unit"],
+    );
+    for c in &answer.gap.channels {
+        table.push(vec![
+            c.channel.clone(),
+            c.quantity.clone(),
+            number(c.before),
+            number(c.after),
+            c.unit.clone(),
+        ]);
+    }
+    section = section.table(table);
+    let units: Vec<&String> = answer.gap.rollout.iter().map(|r| &r.unit).collect();
+    let mut seen: Vec<&String> = Vec::new();
+    for unit in units {
+        if seen.contains(&unit) {
+            continue;
+        }
+        seen.push(unit);
+        let own: Vec<_> = (answer.gap.rollout.iter())
+            .filter(|r| r.unit == *unit && r.horizon_s.is_some())
+            .collect();
+        if own.len() > 1 {
+            let x = own.iter().filter_map(|r| r.horizon_s).collect();
+            section = section.chart(
+                Chart::new(
+                    &format!("Rollout error ({unit})"),
+                    "horizon (s)",
+                    &format!("rms ({unit})"),
+                    x,
+                )
+                .series(
+                    "before",
+                    Line::Solid,
+                    own.iter().map(|r| r.before).collect(),
+                )
+                .series(
+                    "after",
+                    Line::Solid,
+                    own.iter().map(|r| r.after).collect(),
+                ),
+            );
+        }
+    }
+    section
+}
+
+fn untested(answer: &Answer) -> Section {
+    let mut table = Table::new(
+        "What these recordings cannot tell",
+        &["effect", "where", "why", "shown by"],
+    );
+    for u in &answer.untestable {
+        table.push(vec![
+            u.name.clone(),
+            u.at.join(", "),
+            u.reason.clone(),
+            u.behaviours.join(", "),
+        ]);
+    }
+    let mut section = Section::new("Not testable, and the next experiment").table(table);
+    if let Some(next) = &answer.next_experiment {
+        section = section.text(&format!(
+            "Next: {} (for {}); behaviours: {}.",
+            next.motion,
+            next.effects.join(", "),
+            next.behaviours.join(", ")
+        ));
+    }
+    section
+}
+
+/// The unified difference of two texts of which the second mostly has the lines of the first.
+pub fn diff(old: &str, new: &str, name: &str) -> String {
+    let (a, b): (Vec<&str>, Vec<&str>) = (old.lines().collect(), new.lines().collect());
+    // longest common subsequence: files have hundreds of lines
+    let mut length = vec![vec![0_u32; b.len() + 1]; a.len() + 1];
+    for i in (0..a.len()).rev() {
+        for j in (0..b.len()).rev() {
+            length[i][j] = if a[i] == b[j] {
+                length[i + 1][j + 1] + 1
+            } else {
+                length[i + 1][j].max(length[i][j + 1])
+            };
+        }
+    }
+    let mut lines: Vec<(char, &str, usize, usize)> = Vec::new();
+    let (mut i, mut j) = (0, 0);
+    while i < a.len() || j < b.len() {
+        if i < a.len() && j < b.len() && a[i] == b[j] {
+            lines.push((' ', a[i], i, j));
+            (i, j) = (i + 1, j + 1);
+        } else if i < a.len() && (j == b.len() || length[i + 1][j] >= length[i][j + 1]) {
+            lines.push(('-', a[i], i, j));
+            i += 1;
+        } else {
+            lines.push(('+', b[j], i, j));
+            j += 1;
+        }
+    }
+    let near = |k: usize| {
+        let from = k.saturating_sub(CONTEXT);
+        lines[from..(k + CONTEXT + 1).min(lines.len())]
+            .iter()
+            .any(|l| l.0 != ' ')
+    };
+    let mut out = format!("--- {name}\n+++ model.xml\n");
+    let mut k = 0;
+    while k < lines.len() {
+        if !near(k) {
+            k += 1;
+            continue;
+        }
+        let end = (k..lines.len()).find(|e| !near(*e)).unwrap_or(lines.len());
+        let hunk = &lines[k..end];
+        let count = |sign: char| hunk.iter().filter(|l| l.0 != sign).count();
+        let _ = writeln!(
+            out,
+            "@@ -{},{} +{},{} @@",
+            hunk[0].2 + 1,
+            count('+'),
+            hunk[0].3 + 1,
+            count('-')
+        );
+        for (sign, line, ..) in hunk {
+            let _ = writeln!(out, "{sign}{line}");
+        }
+        k = end;
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::diff;
+
+    #[test]
+    fn a_diff_shows_what_changed() {
+        let old = "a\nb\nc\nd\ne\nf\ng\n";
+        let new = "a\nb\nc\nX\ne\nf\ng\nh\n";
+        let expected = "--- m\n+++ model.xml\n@@ -2,6 +2,7 @@\n b\n c\n-d\n+X\n e\n f\n g\n+h\n";
+        assert_eq!(diff(old, new, "m"), expected);
+        assert_eq!(diff(old, old, "m"), "--- m\n+++ model.xml\n");
+    }
+}

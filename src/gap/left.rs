@@ -1,0 +1,166 @@
+//! Is there more to explain than the catalogue has? A flexible regression says what could be.
+//!
+//! The missing forces f of the windows are predicted from position, velocity and motor force of all joints, by ridge
+//! regression on a polynomial with the directions of motion, each stretch of time from the others:
+//!
+//! ```text
+//! explainable = 1 − Σ (f − f̂)² / Σ f²        f̂ without the stretch that is predicted
+//! ```
+//!
+//! A force is reported that is of practical size and of which a good part can be predicted.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::locate::Missing;
+use super::result::Left;
+
+/// Part of the motors' force below which nothing is reported.
+const SIZE: f64 = 0.02;
+/// Predictable part from which there is structure.
+const STRUCTURE: f64 = 0.25;
+/// Parts of the features' variance that ridges are.
+const RIDGES: [f64; 3] = [1e-3, 1e-1, 10.0];
+
+/// Joints at which structure is left.
+pub(super) fn left(missing: &Missing) -> Vec<Left> {
+    let n = missing.joints.len();
+    let mut out = Vec::new();
+    for joint in 0..n {
+        let f: Vec<f64> = missing.force.column(joint).iter().copied().collect();
+        let rms = |v: &mut dyn Iterator<Item = f64>| {
+            let (sum, n) = v.fold((0.0, 0.0), |(s, n), x| (s + x * x, n + 1.0));
+            f64::sqrt(sum / f64::max(n, 1.0))
+        };
+        let size = rms(&mut f.iter().copied());
+        let motor = rms(&mut missing.motor.column(joint).iter().copied());
+        if size < SIZE * motor || motor == 0.0 {
+            continue;
+        }
+        let all: Vec<usize> = (0..n).collect();
+        let explainable = predicted(missing, &f, &all, Inputs::ALL);
+        if explainable < STRUCTURE {
+            continue;
+        }
+        let without = [
+            (
+                "position",
+                Inputs {
+                    position: false,
+                    ..Inputs::ALL
+                },
+            ),
+            (
+                "velocity",
+                Inputs {
+                    velocity: false,
+                    ..Inputs::ALL
+                },
+            ),
+            (
+                "motor force",
+                Inputs {
+                    motor: false,
+                    ..Inputs::ALL
+                },
+            ),
+        ];
+        let inputs = without.into_iter().map(|(name, inputs)| {
+            (
+                name.to_owned(),
+                explainable - predicted(missing, &f, &all, inputs),
+            )
+        });
+        out.push(Left {
+            channel: missing.joints[joint].clone(),
+            size,
+            unit: missing.units[joint].to_owned(),
+            explainable,
+            inputs: inputs.collect(),
+        });
+    }
+    out
+}
+
+#[derive(Clone, Copy)]
+struct Inputs {
+    position: bool,
+    velocity: bool,
+    motor: bool,
+}
+
+impl Inputs {
+    const ALL: Self = Self {
+        position: true,
+        velocity: true,
+        motor: true,
+    };
+}
+
+/// Part of Σ f² that is predicted held out, at the best ridge.
+fn predicted(missing: &Missing, f: &[f64], joints: &[usize], inputs: Inputs) -> f64 {
+    let rows = f.len();
+    let mut base: Vec<Vec<f64>> = Vec::new();
+    for &j in joints {
+        let column = |m: &DMatrix<f64>| -> Vec<f64> { m.column(j).iter().copied().collect() };
+        if inputs.position {
+            base.push(column(&missing.position));
+        }
+        if inputs.velocity {
+            let v = column(&missing.velocity);
+            let size = (v.iter().map(|x| x * x).sum::<f64>() / rows as f64).sqrt();
+            base.push(
+                v.iter()
+                    .map(|x| (10.0 * x / size.max(f64::MIN_POSITIVE)).tanh())
+                    .collect(),
+            );
+            base.push(v);
+        }
+        if inputs.motor {
+            base.push(column(&missing.motor));
+        }
+    }
+    for column in &mut base {
+        let mean = column.iter().sum::<f64>() / rows as f64;
+        let sigma = (column.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / rows as f64).sqrt();
+        for x in column.iter_mut() {
+            *x = (*x - mean) / sigma.max(f64::MIN_POSITIVE);
+        }
+    }
+    let mut features: Vec<Vec<f64>> = vec![vec![1.0; rows]];
+    for (i, a) in base.iter().enumerate() {
+        features.push(a.clone());
+        for b in &base[i..] {
+            features.push(a.iter().zip(b).map(|(x, y)| x * y).collect());
+        }
+    }
+    let x = DMatrix::from_fn(rows, features.len(), |i, j| features[j][i]);
+    let count = missing.stretch_of.iter().max().map_or(0, |m| m + 1);
+    let mut best = f64::NEG_INFINITY;
+    for ridge in RIDGES {
+        let mut wrong = 0.0;
+        for stretch in 0..count {
+            let (out, kept): (Vec<usize>, Vec<usize>) =
+                (0..rows).partition(|w| missing.stretch_of[*w] == stretch);
+            let rows_of =
+                |which: &[usize]| DMatrix::from_fn(which.len(), x.ncols(), |i, j| x[(which[i], j)]);
+            let a = rows_of(&kept);
+            let y = DVector::from_fn(kept.len(), |i, _| f[kept[i]]);
+            let mut normal = a.tr_mul(&a);
+            for j in 0..normal.nrows() {
+                normal[(j, j)] += ridge * kept.len() as f64;
+            }
+            let Some(factor) = normal.cholesky() else {
+                return 0.0;
+            };
+            let told = rows_of(&out) * factor.solve(&a.tr_mul(&y));
+            wrong += out
+                .iter()
+                .zip(told.iter())
+                .map(|(w, t)| (f[*w] - t).powi(2))
+                .sum::<f64>();
+        }
+        let total: f64 = f.iter().map(|v| v * v).sum();
+        best = best.max(1.0 - wrong / total.max(f64::MIN_POSITIVE));
+    }
+    best
+}

@@ -1,0 +1,233 @@
+//! Where the model and the recordings disagree.
+//!
+//! In each window the forces f at the joints that would bring the model onto the recording, constant over the window and
+//! its first state free, follow by least squares. They are gathered in cells of joint × contact × direction × speed. A
+//! cell's mean is tested over stretches of time (t test, times the number of cells).
+//!
+//! ```text
+//! r̃ + Φ f ≈ 0        Φ: what a constant torque at each joint does
+//! ```
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::GapError;
+use super::result::Located;
+use super::score::two_sided;
+use super::screen::Screen;
+use super::windows::Windows;
+use crate::mujoco::{Data, Model, ObjectKind};
+
+/// Speed below which a joint counts as at rest, as a part of its root mean square.
+const REST: f64 = 0.05;
+/// Windows of a cell, at least.
+const LEAST: usize = 5;
+/// Chance below which a cell is reported.
+const LEVEL: f64 = 0.01;
+/// Ridge of the forces of a window, relative.
+const RIDGE: f64 = 1e-6;
+
+/// Forces that the model misses, window by window.
+pub(super) struct Missing {
+    /// joints
+    pub joints: Vec<String>,
+    /// of the forces
+    pub units: Vec<&'static str>,
+    /// (windows × joints)
+    pub force: DMatrix<f64>,
+    /// (windows × joints) of the middle of each window
+    pub position: DMatrix<f64>,
+    /// the same of velocities
+    pub velocity: DMatrix<f64>,
+    /// (windows × joints) motor force
+    pub motor: DMatrix<f64>,
+    /// whether bodies touch
+    pub touching: Vec<bool>,
+    /// s from the start of the recording
+    pub time_s: Vec<f64>,
+    /// stretch of each window
+    pub stretch_of: Vec<usize>,
+}
+
+impl Missing {
+    /// From a screen, whose torque offsets are the columns Φ. Joints with motors where there are any.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn new(
+        windows: &Windows,
+        x: &[f64],
+        screen: &Screen,
+        stretch_of: &[usize],
+    ) -> Result<Self, GapError> {
+        let problem = &windows.problem;
+        let model = &problem.model;
+        let mut own: Vec<(String, usize)> = (screen.candidates.iter())
+            .filter(|c| c.effect.about().name == "torque_offset")
+            .map(|c| (c.place.name.clone(), c.columns[0]))
+            .collect();
+        let driven = |name: &str| {
+            let motors = super::effect::named("torque_ripple").map(|e| e.places(model));
+            let motors = motors.unwrap_or_default();
+            motors.iter().any(|p| p.joint_name(model) == Some(name))
+        };
+        if own.iter().any(|(name, _)| driven(name)) {
+            own.retain(|(name, _)| driven(name));
+        }
+        let (n, m) = (windows.len(), own.len());
+        let mut force = DMatrix::zeros(n, m);
+        for (w, row) in screen.linear.rows.iter().enumerate() {
+            let phi = DMatrix::from_fn(row.residual.len(), m, |i, j| {
+                screen.columns[own[j].1].parts[w][i]
+            });
+            let mut normal = phi.tr_mul(&phi);
+            for j in 0..m {
+                normal[(j, j)] *= 1.0 + RIDGE;
+                normal[(j, j)] += f64::MIN_POSITIVE;
+            }
+            let right: DVector<f64> = phi.tr_mul(&row.residual);
+            if let Some(factor) = normal.cholesky() {
+                let f = -factor.solve(&right);
+                for j in 0..m {
+                    force[(w, j)] = f[j];
+                }
+            }
+        }
+        let mut data = Data::new(Arc::clone(model))?;
+        problem.parameters.apply(model, x, &mut data)?;
+        let index = |name: &str| model.id(ObjectKind::Joint, name).ok();
+        let at: Vec<(usize, usize)> = (own.iter())
+            .filter_map(|(name, _)| index(name))
+            .map(|j| {
+                (
+                    model.jnt_qposadr()[j] as usize,
+                    model.jnt_dofadr()[j] as usize,
+                )
+            })
+            .collect();
+        let (mut position, mut velocity) = (DMatrix::zeros(n, m), DMatrix::zeros(n, m));
+        let mut motor = DMatrix::zeros(n, m);
+        let mut touching = Vec::with_capacity(n);
+        for (w, motion) in windows.trajectories.iter().enumerate() {
+            let knots = motion.len() / model.nq();
+            let (first, last) = (&motion[..model.nq()], &motion[(knots - 1) * model.nq()..]);
+            let middle = (knots / 2) * model.nq();
+            let span = (knots - 1) as f64 * model.timestep();
+            let controls = problem.controls(&problem.trials[w], x);
+            let nu = model.nu();
+            let mut mean = vec![0.0; nu];
+            for row in controls.chunks_exact(nu.max(1)) {
+                for (m, u) in mean.iter_mut().zip(row) {
+                    *m += u / knots as f64;
+                }
+            }
+            data.qpos_mut()
+                .copy_from_slice(&motion[middle..middle + model.nq()]);
+            data.ctrl_mut().copy_from_slice(&mean);
+            data.position_stage()?;
+            data.velocity_stage()?;
+            data.actuation()?;
+            for (j, (address, dof)) in at.iter().enumerate() {
+                position[(w, j)] = motion[middle + address];
+                velocity[(w, j)] = (last[*address] - first[*address]) / span;
+                motor[(w, j)] = data.qfrc_actuator()[*dof];
+            }
+            touching.push(data.ncon() > 0);
+        }
+        Ok(Self {
+            units: own.iter().map(|(name, _)| unit(model, name)).collect(),
+            joints: own.into_iter().map(|(name, _)| name).collect(),
+            force,
+            position,
+            velocity,
+            motor,
+            touching,
+            time_s: windows.origin.iter().map(|o| o.1).collect(),
+            stretch_of: stretch_of.to_vec(),
+        })
+    }
+
+    /// Cells in which the mean is not chance, largest first.
+    pub(super) fn located(&self) -> Vec<Located> {
+        let mut cells: Vec<(usize, String, Vec<usize>)> = Vec::new();
+        for joint in 0..self.joints.len() {
+            let speed = self.velocity.column(joint);
+            let typical = (speed.norm_squared() / speed.len() as f64).sqrt();
+            for touching in [false, true] {
+                for (name, low, high) in [
+                    ("at rest", 0.0, REST),
+                    ("slow", REST, 0.7),
+                    ("fast", 0.7, f64::INFINITY),
+                ] {
+                    for (way, sign) in [("forwards", 1.0), ("backwards", -1.0)] {
+                        let inside: Vec<usize> = (0..speed.len())
+                            .filter(|&w| {
+                                let v = speed[w].abs() / typical.max(f64::MIN_POSITIVE);
+                                let way = low == 0.0 || speed[w] * sign > 0.0;
+                                self.touching[w] == touching && (low..high).contains(&v) && way
+                            })
+                            .collect();
+                        // at rest there is no direction
+                        if inside.len() < LEAST || (low == 0.0 && sign < 0.0) {
+                            continue;
+                        }
+                        let contact = if touching { "contact" } else { "free" };
+                        let phase = if low == 0.0 {
+                            format!("{contact}, {name}")
+                        } else {
+                            format!("{contact}, {way}, {name}")
+                        };
+                        cells.push((joint, phase, inside));
+                    }
+                }
+            }
+        }
+        let tests = cells.len() as f64;
+        let mut out: Vec<Located> = (cells.into_iter())
+            .map(|(joint, phase, inside)| self.cell(joint, phase, &inside, tests))
+            .filter(|l| l.p_value < LEVEL)
+            .collect();
+        out.sort_by(|a, b| b.effect_size.total_cmp(&a.effect_size));
+        out
+    }
+
+    fn cell(&self, joint: usize, phase: String, inside: &[usize], tests: f64) -> Located {
+        let values: Vec<f64> = inside.iter().map(|&w| self.force[(w, joint)]).collect();
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let rms = (values.iter().map(|v| v * v).sum::<f64>() / n).sqrt();
+        let mut sums: Vec<(usize, f64, f64)> = Vec::new();
+        for (&w, v) in inside.iter().zip(&values) {
+            match sums.iter_mut().find(|s| s.0 == self.stretch_of[w]) {
+                Some(s) => (s.1, s.2) = (s.1 + v - mean, s.2 + 1.0),
+                None => sums.push((self.stretch_of[w], v - mean, 1.0)),
+            }
+        }
+        let groups = sums.len() as f64;
+        let variance =
+            sums.iter().map(|s| s.1 * s.1).sum::<f64>() * groups / (groups - 1.0) / (n * n);
+        let p = if groups < 3.0 {
+            1.0
+        } else {
+            two_sided(mean / variance.sqrt(), groups - 1.0)
+        };
+        Located {
+            channel: self.joints[joint].clone(),
+            phase,
+            effect_size: rms,
+            mean,
+            unit: self.units[joint].to_owned(),
+            p_value: (p * tests).min(1.0),
+            n: values.len(),
+        }
+    }
+}
+
+/// Unit of forces at a joint.
+pub(super) fn unit(model: &Model, joint: &str) -> &'static str {
+    let slide = model
+        .id(ObjectKind::Joint, joint)
+        .is_ok_and(|j| model.is_slide(j) == Some(true));
+    if slide { "N" } else { "N m" }
+}

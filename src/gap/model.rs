@@ -1,0 +1,242 @@
+//! A model file with chosen effects, and what is estimated of both.
+
+use crate::mujoco::ObjectKind;
+use crate::sysid::parameter::{ParameterRule, Parameters};
+use crate::sysid::problem::Problem;
+
+use super::GapError;
+use super::effect::{self, Effect, Estimated, Form, ModelFile, Parameter, Place, Role, Scales};
+use super::screen::BEYOND;
+
+/// An effect that was put into the model.
+#[derive(Debug, Clone)]
+pub struct Chosen {
+    /// which
+    pub effect: &'static dyn Effect,
+    /// where
+    pub place: Place,
+    /// one a parameter of the effect
+    pub values: Vec<f64>,
+}
+
+/// The base model with effects.
+#[derive(Debug, Clone)]
+pub(super) struct Built {
+    /// text and model
+    pub file: ModelFile,
+    /// of the base model, then of the effects
+    pub rules: Vec<ParameterRule>,
+    /// effect (index) and what is estimated of it, in the order of their rules
+    pub estimated: Vec<(usize, Estimated)>,
+    /// how each effect is said
+    pub forms: Vec<Form>,
+}
+
+impl Built {
+    /// Writes the effects into `base` one after the other. None may become absurdly large.
+    ///
+    /// # Errors
+    /// One of them cannot be said there.
+    pub(super) fn new(
+        base: &ModelFile,
+        rules: &[ParameterRule],
+        chosen: &[Chosen],
+        measured: &Measured,
+    ) -> Result<Self, GapError> {
+        let mut built = Self {
+            file: base.clone(),
+            rules: rules.to_vec(),
+            estimated: Vec::new(),
+            forms: Vec::new(),
+        };
+        for (i, c) in chosen.iter().enumerate() {
+            let written = effect::write(&built.file, c.effect, &c.place, &c.values)?;
+            built.file = written.file;
+            built.forms.push(written.form);
+            let scales = measured.scales(&built.file.model, &c.place);
+            for mut e in written.estimated {
+                let parameter = &c.effect.about().parameters[e.parameter];
+                let most = BEYOND * parameter.high * parameter.scale(&scales);
+                let ends = [e.number_of(-most), e.number_of(most)];
+                let start = e.rule.start.unwrap_or(0.0);
+                if parameter.is_size()
+                    && ends[0].min(ends[1]) < start
+                    && start < ends[0].max(ends[1])
+                {
+                    e.rule.lower = e.rule.lower.or(Some(ends[0].min(ends[1])));
+                    e.rule.upper = e.rule.upper.or(Some(ends[0].max(ends[1])));
+                }
+                // what is left without the effect is another effect's number, or none
+                if parameter.role == Role::Companion {
+                    continue;
+                }
+                built.rules.push(e.rule.clone());
+                built.estimated.push((i, e));
+            }
+        }
+        Ok(built)
+    }
+
+    /// `problem` with this model and its parameters.
+    ///
+    /// # Errors
+    /// A number is a parameter twice: of the base model and of an effect.
+    pub(super) fn problem(&self, problem: &Problem) -> Result<Problem, GapError> {
+        let names: Vec<String> = problem.channels.iter().map(|c| c.name.clone()).collect();
+        let parameters = Parameters::new(&self.file.model, &self.rules, &names)?;
+        Ok(Problem {
+            model: self.file.model.clone(),
+            parameters,
+            ..problem.clone()
+        })
+    }
+
+    /// Index of each estimated number among all parameters of the problem.
+    fn first(&self, problem: &Problem) -> usize {
+        problem.parameters.all.len() - self.estimated.len()
+    }
+
+    /// Values of the effects' parameters where the free ones are `x`.
+    pub(super) fn values(&self, problem: &Problem, x: &[f64], chosen: &[Chosen]) -> Vec<Chosen> {
+        let values = problem.parameters.values(x);
+        let first = self.first(problem);
+        let mut out = chosen.to_vec();
+        for (k, (i, e)) in self.estimated.iter().enumerate() {
+            out[*i].values[e.parameter] = e.value_of(values[first + k]);
+        }
+        out
+    }
+
+    /// Effect, its parameter and the change of its value by one of x, for every free number of an effect; with the
+    /// index among the free parameters.
+    pub(super) fn free(&self, problem: &Problem) -> Vec<(usize, usize, usize, f64)> {
+        let first = self.first(problem);
+        let position = |k: usize| problem.parameters.free.iter().position(|f| *f == first + k);
+        let numbers = self.estimated.iter().enumerate();
+        numbers
+            .filter_map(|(k, (i, e))| Some((position(k)?, *i, e.parameter, e.slope.recip())))
+            .collect()
+    }
+}
+
+/// Sizes that the recordings show at every hinge and slide.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Measured {
+    /// by the joint's name: force, speed, travel, acceleration
+    joints: Vec<(String, [f64; 4])>,
+}
+
+impl Measured {
+    /// Of motions (knots × nq) under the controls of `problem`.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn new(
+        problem: &Problem,
+        x: &[f64],
+        motions: &[Vec<f64>],
+    ) -> Result<Self, GapError> {
+        let model = &problem.model;
+        let forces = crate::sysid::joint::force_scale(problem, x)?;
+        let (nq, h) = (model.nq(), model.timestep());
+        let mut joints = Vec::new();
+        for joint in 0..model.njnt() {
+            let Some(name) = model.name(ObjectKind::Joint, joint) else {
+                continue;
+            };
+            if model.is_slide(joint).is_none() {
+                continue;
+            }
+            let address = model.jnt_qposadr()[joint] as usize;
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            let (mut speed, mut acceleration, mut n) = (0.0, 0.0, 0.0);
+            for motion in motions {
+                let q: Vec<f64> = motion.iter().skip(address).step_by(nq).copied().collect();
+                let span = (q.len() - 1) as f64 * h;
+                let (a, b, c) = (q[0], q[q.len() / 2], q[q.len() - 1]);
+                low = low.min(a).min(c);
+                high = high.max(a).max(c);
+                speed += ((c - a) / span).powi(2);
+                acceleration += ((a - 2.0 * b + c) / (0.25 * span * span)).powi(2);
+                n += 1.0;
+            }
+            let dof = model.jnt_dofadr()[joint] as usize;
+            let root = |sum: f64| f64::sqrt(sum / f64::max(n, 1.0));
+            let sizes = [forces[dof], root(speed), high - low, root(acceleration)];
+            joints.push((name.to_owned(), sizes));
+        }
+        Ok(Self { joints })
+    }
+
+    /// Scales at a place: the model's, where recordings show nothing.
+    pub(super) fn scales(&self, model: &crate::mujoco::Model, place: &Place) -> Scales {
+        let mut scales = Scales::of(model, place);
+        let name = place.joint_name(model);
+        let found = name.and_then(|n| self.joints.iter().find(|(own, _)| *own == n));
+        if let Some((_, [force, speed, travel, acceleration])) = found {
+            let take = |own: &mut f64, measured: f64| {
+                if measured > 0.0 && measured.is_finite() {
+                    *own = measured;
+                }
+            };
+            take(&mut scales.force, *force);
+            take(&mut scales.speed, *speed);
+            take(&mut scales.travel, *travel);
+            take(&mut scales.acceleration, *acceleration);
+        }
+        scales
+    }
+}
+
+/// Values to look at an effect with: one set for each of its sizes, by grid value. Sizes are `size` times the typical
+/// one; all others of the set are 0.
+#[derive(Debug, Clone)]
+pub(super) struct Variant {
+    /// (size, values): columns of the candidate
+    pub columns: Vec<(f64, Vec<f64>)>,
+    /// index of the parameter that each column stands for
+    pub parameters: Vec<usize>,
+}
+
+/// All variants of an effect.
+pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant> {
+    let mut sets: Vec<Vec<f64>> = vec![Vec::new()];
+    for p in parameters {
+        let grid = p.grid(scales);
+        let choices = if grid.is_empty() { vec![0.0] } else { grid };
+        sets = (sets.iter())
+            .flat_map(|set| {
+                choices
+                    .iter()
+                    .map(move |c| [set.as_slice(), &[*c]].concat())
+            })
+            .collect();
+    }
+    let sizes: Vec<usize> = (0..parameters.len())
+        .filter(|i| parameters[*i].is_size())
+        .collect();
+    sets.into_iter()
+        .map(|set| {
+            let columns = sizes.iter().map(|&i| {
+                let mut values = set.clone();
+                for &j in &sizes {
+                    values[j] = 0.0;
+                }
+                match parameters[i].role {
+                    // all or nothing: the column is the whole effect
+                    Role::Threshold(_) => values[i] = set[i],
+                    _ => values[i] = parameters[i].typical(scales),
+                }
+                let size = match parameters[i].role {
+                    Role::Threshold(_) | Role::Switch => 1.0,
+                    _ => values[i],
+                };
+                (size, values)
+            });
+            Variant {
+                columns: columns.collect(),
+                parameters: sizes.clone(),
+            }
+        })
+        .collect()
+}

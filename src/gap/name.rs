@@ -1,0 +1,164 @@
+//! What to call what was found, and how sure.
+//!
+//! Two effects look alike on given recordings if their columns point the same way. An effect j takes the place of k
+//! (t of k, ρ the cosine between what is their own) at the price of
+//!
+//! ```text
+//! d² = t² (1 − ρ²)        class of k: every j with d² < 9        P(k) = (1 − p) / (1 + Σⱼ e^(−dⱼ²/2))
+//! ```
+//!
+//! in units of the noise that the recordings show ([`super::score`]).
+
+use super::effect::{Role, Sign, named};
+use super::result::{Named, Value, Where};
+use super::score::Normal;
+use super::screen::{BEYOND, Candidate, Screen};
+use super::search::Search;
+use crate::sysid::student::two_sided_t;
+
+/// Squared separation below which two effects are one class.
+const APART: f64 = 9.0;
+
+/// Names every effect in the model of `search`; `screen` is of that model.
+pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Vec<Named> {
+    let free = search.built.free(&search.windows.problem);
+    let mut out = Vec::new();
+    for (i, chosen) in search.chosen.iter().enumerate() {
+        let about = chosen.effect.about();
+        let scales = search
+            .measured
+            .scales(&search.built.file.model, &chosen.place);
+        let mut parameters = Vec::new();
+        let mut surest: Option<(f64, usize)> = None; // t, index among the free
+        for (p, parameter) in about.parameters.iter().enumerate() {
+            let value = chosen.values[p];
+            let number = free.iter().find(|f| f.1 == i && f.2 == p);
+            let ci95 = number.map(|(j, _, _, slope)| {
+                let (sigma, dof) = screen.normal.fitted(*j);
+                let sigma = sigma * slope.abs();
+                let t = value / sigma;
+                if parameter.is_size() && surest.is_none_or(|s| t.abs() > s.0) {
+                    surest = Some((t.abs(), *j));
+                }
+                let half = two_sided_t(0.95, dof.max(1.0)) * sigma;
+                let least = if parameter.sign == Sign::Positive {
+                    0.0
+                } else {
+                    f64::NEG_INFINITY
+                };
+                [(value - half).max(least), value + half]
+            });
+            if parameter.role == Role::Companion {
+                continue;
+            }
+            parameters.push(Value {
+                name: parameter.name.to_owned(),
+                value,
+                ci95,
+                unit: parameter.unit(&scales).to_owned(),
+            });
+        }
+        let evidence = &search.evidence[i];
+        let mut class = vec![about.name.to_owned()];
+        let (mut others, mut rest) = (Vec::new(), 0.0);
+        if let Some((t, j)) = surest {
+            for c in &screen.candidates {
+                let Some(d2) = separation(search, &screen.normal, c, t, j) else {
+                    continue;
+                };
+                if d2 < APART {
+                    rest += f64::exp(-0.5 * d2);
+                    let own = c.effect.about().name;
+                    if !class.iter().any(|n| n == own) {
+                        class.push(own.to_owned());
+                    }
+                    others.push(Where {
+                        name: own.to_owned(),
+                        at: c.place.to_string(),
+                        separation: d2,
+                    });
+                }
+            }
+        }
+        out.push(Named {
+            name: about.name.to_owned(),
+            at: chosen.place.to_string(),
+            class,
+            probability: (1.0 - evidence.p_value).max(0.0) / (1.0 + rest),
+            p_value: evidence.p_value,
+            parameters,
+            expressed_as: match search.built.forms[i] {
+                super::effect::Form::Mjcf => "mjcf",
+                super::effect::Form::Supplement => "supplement",
+            },
+            law: about.law.to_owned(),
+            gain: evidence.gain,
+            size: evidence.size,
+            alike: others,
+        });
+    }
+    out
+}
+
+/// How far a candidate is from an effect in the model, whose surest number is free parameter `j` with `t`; none if it
+/// could not take its place.
+fn separation(
+    search: &Search<'_>,
+    normal: &Normal,
+    candidate: &Candidate,
+    t: f64,
+    j: usize,
+) -> Option<f64> {
+    let (likeness, instead) = normal.likeness(j, &candidate.columns);
+    let free = search.built.free(&search.windows.problem);
+    let (_, effect, parameter, slope) = free.iter().find(|f| f.0 == j)?;
+    let change = search.chosen[*effect].values[*parameter] / slope;
+    let scales = search
+        .measured
+        .scales(&search.built.file.model, &candidate.place);
+    let parameters = candidate.effect.about().parameters;
+    for (&i, per_one) in candidate.parameters.iter().zip(&instead) {
+        let (p, value) = (&parameters[i], per_one * change);
+        if matches!(p.role, Role::Threshold(_) | Role::Switch) {
+            continue;
+        }
+        // of the wrong sign or absurdly large it is no explanation
+        let wrong = p.sign == Sign::Positive && value < 0.0;
+        if wrong || value.abs() > BEYOND * p.high * p.scale(&scales) {
+            return None;
+        }
+    }
+    Some(t * t * (1.0 - likeness))
+}
+
+/// What would tell the members of a class apart, as the catalogue has it.
+pub(super) fn splits(class: &[String]) -> Vec<(String, String, String)> {
+    let mut out = Vec::new();
+    for (i, a) in class.iter().enumerate() {
+        for b in &class[i + 1..] {
+            let of = |x: &str, y: &str| {
+                let about = named(x)?.about();
+                about
+                    .neighbours
+                    .iter()
+                    .find(|n| n.name == y)
+                    .map(|n| n.split)
+            };
+            if let Some(split) = of(a, b).or_else(|| of(b, a)) {
+                out.push((a.clone(), b.clone(), split.to_owned()));
+            }
+        }
+    }
+    out
+}
+
+/// Behaviours that show an effect.
+pub(super) fn behaviours(name: &str) -> Vec<String> {
+    named(name).map_or_else(Vec::new, |e| {
+        e.about()
+            .behaviours
+            .iter()
+            .map(|b| (*b).to_owned())
+            .collect()
+    })
+}

@@ -1,0 +1,440 @@
+//! The whole workflow, in memory.
+
+use std::sync::Arc;
+
+use super::effect::{self, ModelFile};
+use super::locate::Missing;
+use super::result::{Answer, Experiment, Left, Tested, Untestable, Verdict};
+use super::screen::{LEAST_VISIBLE, Screen};
+use super::search::{Limits, Search};
+use super::verify::{self, Machine};
+use super::windows::{self, Windows};
+use super::{GapError, Report, Stage, Watch, left, name};
+use crate::compare::Settings;
+use crate::mjcf::file::rewrite;
+use crate::recording::Recording;
+use crate::sysid::ensemble;
+use crate::sysid::holdout::hold;
+use crate::sysid::problem::{ChannelRule, Problem, ProblemConfig};
+
+/// What to look at.
+#[derive(Debug, Clone, Copy)]
+pub struct Input<'a> {
+    /// base model
+    pub model: &'a ModelFile,
+    /// what is fitted anyway, noise, norms
+    pub config: &'a ProblemConfig,
+    /// to find and fit, with names
+    pub train: &'a [(String, Recording)],
+    /// to verify, with names
+    pub holdout: &'a [(String, Recording)],
+    /// how held-out recordings are compared
+    pub protocol: &'a Settings,
+}
+
+/// How to look.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Options {
+    /// most effects
+    pub max_effects: usize,
+    /// of draws
+    pub seed: u64,
+    /// what an effect has to reach
+    pub limits: Limits,
+    /// most windows of the training recordings
+    pub most_windows: usize,
+    /// s of a window; none: from the data
+    pub window_s: Option<f64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            max_effects: 4,
+            seed: 0,
+            limits: Limits::default(),
+            most_windows: 240,
+            window_s: None,
+        }
+    }
+}
+
+/// The answer, and what it was made from.
+#[derive(Debug)]
+pub struct Outcome {
+    /// to be written
+    pub answer: Answer,
+    /// text of the repaired model
+    pub model: String,
+    /// the model before and after, with fitted numbers
+    pub machines: [Arc<crate::mujoco::Model>; 2],
+    /// missing forces before and after, for figures
+    pub missing: [Option<MissingSeries>; 2],
+}
+
+/// Missing force at every joint over the windows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MissingSeries {
+    /// joints
+    pub joints: Vec<String>,
+    /// of the forces
+    pub units: Vec<&'static str>,
+    /// s from the start of the recordings, one after the other
+    pub time_s: Vec<f64>,
+    /// per joint (windows)
+    pub force: Vec<Vec<f64>>,
+    /// per joint (windows)
+    pub velocity: Vec<Vec<f64>>,
+}
+
+impl MissingSeries {
+    fn new(missing: &Missing) -> Self {
+        let column = |m: &nalgebra::DMatrix<f64>, j: usize| m.column(j).iter().copied().collect();
+        let n = missing.joints.len();
+        Self {
+            joints: missing.joints.clone(),
+            units: missing.units.clone(),
+            time_s: missing.time_s.clone(),
+            force: (0..n).map(|j| column(&missing.force, j)).collect(),
+            velocity: (0..n).map(|j| column(&missing.velocity, j)).collect(),
+        }
+    }
+}
+
+/// Finds, names, adds and verifies what the model lacks. `report` is told what happens and stops the work by `false`.
+///
+/// # Errors
+/// Input that does not fit together; [`GapError::Stopped`].
+pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<Outcome, GapError> {
+    let mut watch = Watch {
+        report,
+        stage: Stage::Fit,
+        note: String::new(),
+    };
+    watch.stage(Stage::Fit);
+    let config = judged(input)?;
+    let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
+    same_channels(&whole, &config, input)?;
+    let length = options
+        .window_s
+        .unwrap_or_else(|| windows::length_s(&whole));
+    let cut = Windows::cut(
+        &whole,
+        &whole.parameters.start(),
+        length,
+        options.most_windows,
+    )?;
+    let mut search = Search::new(
+        input.model,
+        &config.parameter,
+        cut,
+        options.limits,
+        &mut watch,
+    )?;
+    let before = machine(&search)?;
+    let screened = |screen: Option<Screen>| screen.ok_or(GapError::Stopped);
+    let mut screen = screened(search.screen(&mut watch)?)?;
+    watch.stage(Stage::Locate);
+    let first = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
+    let located = first.located();
+    let evidence = tested(&screen);
+    let untestable = untestable(&search, &screen);
+    let n_candidates = super::search::tests(&screen);
+    while search.chosen.len() < options.max_effects {
+        watch.note = format!("effect {}", search.chosen.len() + 1);
+        if !search.forward(&screen, &mut watch)? {
+            break;
+        }
+        search.delete(&mut watch)?;
+        screen = screened(search.screen(&mut watch)?)?;
+    }
+    watch.note.clear();
+    watch.stage(Stage::Name);
+    let effects = name::name(&search, &screen);
+    let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
+    let rest = left::left(&last);
+    watch.stage(Stage::Verify);
+    let after = machine(&search)?;
+    let sigma = |channel: &str| {
+        whole
+            .channels
+            .iter()
+            .find(|c| c.name == channel)
+            .map(|c| c.sigma)
+    };
+    let gap = verify::verify(
+        &before,
+        &after,
+        input.holdout,
+        input.protocol,
+        &sigma,
+        options.seed,
+    )?;
+    let verdict = verdict(&effects, &rest);
+    let next_experiment = next(&effects, &untestable);
+    let model = repaired(&search, input.model)?;
+    Ok(Outcome {
+        answer: Answer {
+            verdict,
+            effects,
+            located,
+            gap,
+            untestable,
+            next_experiment,
+            model: "model.xml".into(),
+            evidence,
+            left: rest,
+            round_trip: None,
+            window_s: search.windows.length_s,
+            n_windows: search.windows.len(),
+            n_candidates,
+        },
+        model,
+        machines: [before.model, after.model],
+        missing: [
+            Some(MissingSeries::new(&first)),
+            Some(MissingSeries::new(&last)),
+        ],
+    })
+}
+
+/// The configuration, without the velocities of joints whose positions are measured: those are made from positions, by
+/// filters that look like late sensors.
+fn judged(input: &Input<'_>) -> Result<ProblemConfig, GapError> {
+    let model = &input.model.model;
+    let names = Problem::new(
+        Arc::clone(model),
+        &without_parameters(input.config),
+        input.train,
+    )?;
+    let positions =
+        (names.channels.iter()).any(|c| c.stage == crate::sysid::problem::Stage::Position);
+    let mut config = input.config.clone();
+    if positions {
+        let velocities = names
+            .channels
+            .iter()
+            .filter(|c| windows::is_velocity(model, c.source));
+        let ignored = velocities.map(|c| ChannelRule {
+            name: c.name.clone(),
+            noise_sigma: None,
+            norm: crate::sysid::norm::Norm::default(),
+            ignore: true,
+        });
+        config.channel = ignored.chain(config.channel).collect();
+    }
+    Ok(config)
+}
+
+fn without_parameters(config: &ProblemConfig) -> ProblemConfig {
+    ProblemConfig {
+        parameter: Vec::new(),
+        ..config.clone()
+    }
+}
+
+/// Held-out recordings must be of the same machine: the same channels.
+fn same_channels(
+    train: &Problem,
+    config: &ProblemConfig,
+    input: &Input<'_>,
+) -> Result<(), GapError> {
+    if input.holdout.is_empty() {
+        return Ok(());
+    }
+    for (name, recording) in input.holdout {
+        let hashes = |r: &[(String, Recording)]| -> Vec<String> {
+            r.iter()
+                .map(|(_, r)| r.meta.model_hash.clone())
+                .filter(|h| !h.is_empty())
+                .collect()
+        };
+        let own = &recording.meta.model_hash;
+        if let Some(other) = hashes(input.train)
+            .iter()
+            .find(|h| !own.is_empty() && *h != own)
+        {
+            let reason = format!(
+                "held-out recording `{name}` is of another model than the training recordings ({own}, {other})"
+            );
+            return Err(GapError::Input { reason });
+        }
+    }
+    let held = Problem::new(
+        Arc::clone(&input.model.model),
+        &without_parameters(config),
+        input.holdout,
+    )?;
+    let missing: Vec<&str> = (train.channels.iter())
+        .filter(|c| !held.channels.iter().any(|h| h.name == c.name))
+        .map(|c| c.name.as_str())
+        .collect();
+    if !missing.is_empty() {
+        let reason = format!(
+            "held-out recordings have no channel {}, which the training recordings have",
+            missing.join(", ")
+        );
+        return Err(GapError::Input { reason });
+    }
+    Ok(())
+}
+
+/// The present model with its numbers.
+fn machine(search: &Search<'_>) -> Result<Machine, GapError> {
+    let problem = &search.windows.problem;
+    let model = ensemble::model_at(&problem.model, &problem.parameters, &search.x)?;
+    let values = problem.parameters.values(&search.x);
+    let all = &problem.parameters.all;
+    let held = hold(problem, |p| {
+        all.iter()
+            .position(|o| o.name == p.name)
+            .map_or(p.start, |i| values[i])
+    });
+    Ok(Machine {
+        model: Arc::new(model),
+        parameters: held.parameters,
+    })
+}
+
+/// The file of the base model with the effects and all fitted numbers.
+fn repaired(search: &Search<'_>, base: &ModelFile) -> Result<String, GapError> {
+    let problem = &search.windows.problem;
+    let model = ensemble::model_at(&problem.model, &problem.parameters, &search.x)?;
+    let effects: Vec<String> = (search.chosen.iter())
+        .map(|c| format!("{} at {}", c.effect.about().name, c.place))
+        .collect();
+    let header = format!(
+        "{} with what phantom gap {} found missing: {}.",
+        base.path.file_name().unwrap_or_default().to_string_lossy(),
+        env!("CARGO_PKG_VERSION"),
+        if effects.is_empty() {
+            "nothing".to_owned()
+        } else {
+            effects.join(", ")
+        },
+    );
+    let text = rewrite(
+        &search.built.file.xml,
+        &model,
+        &problem.parameters.targets(),
+        &header,
+    );
+    Ok(text.map_err(effect::EffectError::from)?)
+}
+
+fn verdict(effects: &[super::result::Named], rest: &[Left]) -> Verdict {
+    if effects.is_empty() {
+        return if rest.is_empty() {
+            Verdict::None
+        } else {
+            Verdict::Unknown
+        };
+    }
+    if effects.iter().any(|e| e.class.len() > 1) {
+        Verdict::Ambiguous
+    } else {
+        Verdict::Effect
+    }
+}
+
+/// The first screen, best first.
+fn tested(screen: &Screen) -> Vec<Tested> {
+    let cost = screen.normal.cost().max(f64::MIN_POSITIVE);
+    let mut out: Vec<(f64, Tested)> = (screen.candidates.iter())
+        .filter_map(|c| {
+            let s = c.score.as_ref()?;
+            let line = Tested {
+                name: c.effect.about().name.to_owned(),
+                at: c.place.to_string(),
+                expected: c.values.clone(),
+                gain: s.gain / cost,
+                p_value: s.p_value,
+                visible: s.visible,
+                size: c.size,
+            };
+            Some((
+                if c.sensible {
+                    s.held_gain
+                } else {
+                    f64::NEG_INFINITY
+                },
+                line,
+            ))
+        })
+        .collect();
+    out.sort_by(|a, b| b.0.total_cmp(&a.0));
+    out.into_iter().map(|(_, t)| t).collect()
+}
+
+/// Effects without a visible place.
+fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable> {
+    let mut out: Vec<Untestable> = Vec::new();
+    for (effect, place) in effect::candidates(&search.base.model) {
+        let about = effect.about();
+        let found = (screen.candidates.iter())
+            .find(|c| c.effect.about().name == about.name && c.place == place);
+        let companion = about
+            .parameters
+            .iter()
+            .any(|p| p.role == effect::Role::Companion);
+        let reason = match found {
+            _ if search.has(about.name, &place) => continue,
+            None if companion => continue, // looked at once there is dry friction
+            None => "nothing that was recorded depends on it",
+            Some(c) => match &c.score {
+                None => "the fitted parameters explain all of it",
+                Some(s) if s.visible < LEAST_VISIBLE => {
+                    "the fitted parameters explain nearly all of it"
+                }
+                Some(_) => continue,
+            },
+        };
+        match out
+            .iter_mut()
+            .find(|u| u.name == about.name && u.reason == reason)
+        {
+            Some(u) => u.at.push(place.to_string()),
+            None => out.push(Untestable {
+                name: about.name.to_owned(),
+                at: vec![place.to_string()],
+                reason: reason.to_owned(),
+                behaviours: name::behaviours(about.name),
+            }),
+        }
+    }
+    out
+}
+
+/// What splits the first class; else what shows most of what could not be tested.
+fn next(effects: &[super::result::Named], untestable: &[Untestable]) -> Option<Experiment> {
+    for e in effects.iter().filter(|e| e.class.len() > 1) {
+        if let Some((a, b, motion)) = name::splits(&e.class).into_iter().next() {
+            let mut behaviours = name::behaviours(&a);
+            behaviours.extend(name::behaviours(&b));
+            behaviours.dedup();
+            return Some(Experiment {
+                effects: vec![a, b],
+                motion,
+                behaviours,
+            });
+        }
+    }
+    let hidden: Vec<&Untestable> = untestable
+        .iter()
+        .filter(|u| u.reason.starts_with("nothing"))
+        .collect();
+    let mut counts: Vec<(String, usize)> = Vec::new();
+    for b in hidden.iter().flat_map(|u| &u.behaviours) {
+        match counts.iter_mut().find(|c| c.0 == *b) {
+            Some(c) => c.1 += 1,
+            None => counts.push((b.clone(), 1)),
+        }
+    }
+    let (behaviour, _) = counts.into_iter().rev().max_by_key(|c| c.1)?;
+    let shown = hidden.iter().filter(|u| u.behaviours.contains(&behaviour));
+    Some(Experiment {
+        effects: shown.map(|u| u.name.clone()).collect(),
+        motion: format!("behaviour `{behaviour}`, in which these effects would show"),
+        behaviours: vec![behaviour],
+    })
+}

@@ -1,0 +1,315 @@
+//! Every effect at every place: what it would explain.
+//!
+//! The motion is linearised once ([`Windows::linearise`]); a candidate then costs one simulation of all windows for each
+//! of its sizes, with the effect in the model and the first states as they are. Shapes that mean nothing without the
+//! effect are tried on their grid, those with many values first on a part of the windows.
+
+use std::collections::BTreeMap;
+
+use super::GapError;
+use super::effect::{self, Effect, ModelFile, Place, Role, Sign};
+use super::model::{Built, Measured, Variant, variants};
+use super::score::{Normal, Score};
+use super::windows::{Column, Linear, Windows};
+use crate::sysid::parameter::Parameters;
+use crate::sysid::problem::Problem;
+use nalgebra::DVector;
+
+/// More values of a grid than this are first tried on a part of the windows.
+const FEW: usize = 4;
+/// That part: every so many-th window.
+const PART: usize = 4;
+/// An effect whose columns are others' to this part cannot be seen.
+pub(super) const LEAST_VISIBLE: f64 = 0.02;
+/// How many times the largest size to be expected a size may be.
+pub(super) const BEYOND: f64 = 4.0;
+/// Part of a column's squared length that first states must leave: less is rounding.
+const LEFT: f64 = 1e-8;
+/// Factor of a threshold's column that still means about that threshold.
+const ALL_OR_NOTHING: [f64; 2] = [0.4, 2.5];
+
+/// An effect at a place, with what it would explain.
+#[derive(Debug, Clone)]
+pub(super) struct Candidate {
+    pub effect: &'static dyn Effect,
+    pub place: Place,
+    /// expected values, one a parameter
+    pub values: Vec<f64>,
+    /// index of its columns in the screen
+    pub columns: Vec<usize>,
+    /// the parameter that each stands for
+    pub parameters: Vec<usize>,
+    /// none: nothing of it can be seen
+    pub score: Option<Score>,
+    /// length of its response over that of the motors'; none without motors
+    pub size: Option<f64>,
+    /// whether the expected values make sense
+    pub sensible: bool,
+}
+
+/// The table of all candidates.
+pub(super) struct Screen {
+    pub candidates: Vec<Candidate>,
+    pub columns: Vec<Column>,
+    pub normal: Normal,
+    pub linear: Linear,
+}
+
+/// What a screen looks at.
+pub(super) struct Look<'a> {
+    pub base: &'a ModelFile,
+    pub built: &'a Built,
+    pub windows: &'a Windows,
+    pub x: &'a [f64],
+    pub measured: &'a Measured,
+    pub stretch_of: &'a [usize],
+    /// effects and places that are in the model
+    pub taken: Vec<(&'static str, Place)>,
+}
+
+impl Look<'_> {
+    /// Tests every candidate; `watch` is told (done, of) and stops it by `false`: then there is no result.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn screen(
+        &self,
+        watch: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Option<Screen>, GapError> {
+        let linear = self.windows.linearise(self.x)?;
+        let prior = prior(&self.windows.problem.parameters, self.x);
+        let all: Vec<(&'static dyn Effect, Place)> = effect::candidates(&self.base.model)
+            .into_iter()
+            .filter(|(e, p)| self.may_act(*e, p))
+            .collect();
+        let mut columns: Vec<Column> = Vec::new();
+        let mut found: Vec<(usize, Variant, Vec<usize>)> = Vec::new();
+        for (i, (effect, place)) in all.iter().enumerate() {
+            if !watch(i, all.len()) {
+                return Ok(None);
+            }
+            let scales = self.measured.scales(&self.built.file.model, place);
+            let mut tried = variants(effect.about().parameters, &scales);
+            if tried.len() > FEW {
+                tried = self.best(*effect, place, tried, &linear, &prior)?;
+            }
+            for variant in tried {
+                let Some((own, variant)) = self.columns(*effect, place, &variant, &linear, 1)?
+                else {
+                    continue;
+                };
+                let from = columns.len();
+                columns.extend(own);
+                found.push((i, variant, (from..columns.len()).collect()));
+            }
+        }
+        let normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
+        let motors = self.motors(&linear)?;
+        let mut best: BTreeMap<usize, Candidate> = BTreeMap::new();
+        for (i, variant, own) in found {
+            let (effect, place) = &all[i];
+            let candidate = candidate(
+                *effect, place, &variant, own, &normal, &columns, motors, self,
+            );
+            let held = |c: &Candidate| {
+                let score = c.score.as_ref().filter(|_| c.sensible);
+                score.map_or(f64::NEG_INFINITY, |s| s.held_gain)
+            };
+            if best.get(&i).is_none_or(|b| held(&candidate) > held(b)) {
+                best.insert(i, candidate);
+            }
+        }
+        Ok(Some(Screen {
+            candidates: best.into_values().collect(),
+            columns,
+            normal,
+            linear,
+        }))
+    }
+
+    /// Whether an effect is worth a look: not there yet, and not a variety of friction where there is none.
+    fn may_act(&self, effect: &dyn Effect, place: &Place) -> bool {
+        let about = effect.about();
+        if self
+            .taken
+            .iter()
+            .any(|(n, p)| *n == about.name && p == place)
+        {
+            return false;
+        }
+        let variety = about.parameters.iter().any(|p| p.role == Role::Companion);
+        let model = &self.built.file.model;
+        let dry = place
+            .joint_name(model)
+            .and_then(|n| model.id(crate::mujoco::ObjectKind::Joint, n).ok())
+            .is_some_and(|j| model.dof_frictionloss()[model.jnt_dofadr()[j] as usize] > 0.0);
+        !variety || dry
+    }
+
+    /// Columns of a variant of which anything is left, and the parameter of each; nothing if the model cannot say it or
+    /// nothing of it shows.
+    fn columns(
+        &self,
+        effect: &'static dyn Effect,
+        place: &Place,
+        variant: &Variant,
+        linear: &Linear,
+        stride: usize,
+    ) -> Result<Option<(Vec<Column>, Variant)>, GapError> {
+        let mut columns = Vec::new();
+        let mut seen = Variant {
+            columns: Vec::new(),
+            parameters: Vec::new(),
+        };
+        for ((size, values), parameter) in variant.columns.iter().zip(&variant.parameters) {
+            let Some(held) = self.with(effect, place, values) else {
+                return Ok(None);
+            };
+            let column = linear.column(&held, *size, stride)?;
+            let left: f64 = column.parts.iter().map(DVector::norm_squared).sum();
+            if left > LEFT * column.raw && column.raw > 0.0 {
+                columns.push(column);
+                seen.columns.push((*size, values.clone()));
+                seen.parameters.push(*parameter);
+            }
+        }
+        Ok((!columns.is_empty()).then_some((columns, seen)))
+    }
+
+    /// The problem with an effect, everything held.
+    fn with(&self, effect: &'static dyn Effect, place: &Place, values: &[f64]) -> Option<Problem> {
+        // what a place cannot carry is no candidate there
+        let written = effect::write(&self.built.file, effect, place, values).ok()?;
+        let problem = &self.windows.problem;
+        let names: Vec<String> = problem.channels.iter().map(|c| c.name.clone()).collect();
+        let parameters = Parameters::new(&written.file.model, &self.built.rules, &names).ok()?;
+        let changed = Problem {
+            model: written.file.model,
+            parameters,
+            ..problem.clone()
+        };
+        Some(self.windows.held(&changed, self.x))
+    }
+
+    /// The best of many variants by a part of the windows.
+    fn best(
+        &self,
+        effect: &'static dyn Effect,
+        place: &Place,
+        tried: Vec<Variant>,
+        linear: &Linear,
+        prior: &[(f64, f64)],
+    ) -> Result<Vec<Variant>, GapError> {
+        let mut best: Option<(f64, Variant)> = None;
+        for variant in tried {
+            let Some((own, _)) = self.columns(effect, place, &variant, linear, PART)? else {
+                continue;
+            };
+            let some: Vec<usize> = (0..linear.rows.len()).step_by(PART).collect();
+            let rows: Vec<_> = some.iter().map(|w| linear.rows[*w].clone()).collect();
+            let parts: Vec<Column> = (own.iter())
+                .map(|c| Column {
+                    parts: some.iter().map(|w| c.parts[*w].clone()).collect(),
+                    raw: c.raw,
+                })
+                .collect();
+            let normal = Normal::new(&rows, &parts, &vec![0; rows.len()], prior);
+            let gain = normal.gain(&(0..parts.len()).collect::<Vec<_>>());
+            if best.as_ref().is_none_or(|(g, _)| gain > *g) {
+                best = Some((gain, variant));
+            }
+        }
+        Ok(best.into_iter().map(|(_, v)| v).collect())
+    }
+
+    /// Length of what the motors do to the readings; none where there are none.
+    fn motors(&self, linear: &Linear) -> Result<Option<f64>, GapError> {
+        let problem = &self.windows.problem;
+        if problem.model.nu() == 0 {
+            return Ok(None);
+        }
+        let mut still = self.windows.held(problem, self.x);
+        for trial in &mut still.trials {
+            for control in trial.controls.iter_mut().flatten() {
+                control.1 = 0.0;
+            }
+        }
+        let column = linear.column(&still, 1.0, 1)?;
+        let length = column
+            .parts
+            .iter()
+            .map(DVector::norm_squared)
+            .sum::<f64>()
+            .sqrt();
+        Ok((length > 0.0).then_some(length))
+    }
+}
+
+#[allow(clippy::too_many_arguments)] // what a candidate is made of
+fn candidate(
+    effect: &'static dyn Effect,
+    place: &Place,
+    variant: &Variant,
+    own: Vec<usize>,
+    normal: &Normal,
+    columns: &[Column],
+    motors: Option<f64>,
+    look: &Look<'_>,
+) -> Candidate {
+    let parameters = effect.about().parameters;
+    let scales = look.measured.scales(&look.built.file.model, place);
+    let mut values = variant.columns[0].1.clone();
+    for (&i, (_, own)) in variant.parameters.iter().zip(&variant.columns) {
+        values[i] = own[i];
+    }
+    let score = normal.score(&own);
+    let (mut sensible, mut size) = (true, None);
+    if let Some(score) = &score {
+        for (&i, beta) in variant.parameters.iter().zip(&score.expected) {
+            let p = &parameters[i];
+            match p.role {
+                Role::Threshold(_) | Role::Switch => {
+                    sensible &= (ALL_OR_NOTHING[0]..=ALL_OR_NOTHING[1]).contains(beta);
+                }
+                _ => {
+                    sensible &= p.sign == Sign::Either || *beta > 0.0;
+                    sensible &= beta.abs() <= BEYOND * p.high * p.scale(&scales);
+                    values[i] = *beta;
+                }
+            }
+        }
+        let mut square = 0.0;
+        for w in 0..look.windows.len() {
+            let mut sum = columns[own[0]].parts[w].clone() * score.expected[0];
+            for (c, beta) in own.iter().zip(&score.expected).skip(1) {
+                sum.axpy(*beta, &columns[*c].parts[w], 1.0);
+            }
+            square += sum.norm_squared();
+        }
+        size = motors.map(|m| square.sqrt() / m);
+    }
+    Candidate {
+        effect,
+        place: place.clone(),
+        values,
+        columns: own,
+        parameters: variant.parameters.clone(),
+        score,
+        size,
+        sensible,
+    }
+}
+
+/// Precision and gradient of every parameter's prior.
+pub(super) fn prior(parameters: &Parameters, x: &[f64]) -> Vec<(f64, f64)> {
+    let each = parameters.iter_free().zip(x);
+    each.map(|(p, x)| {
+        if p.prior_sigma.is_finite() {
+            let precision = p.prior_sigma.powi(-2);
+            (precision, precision * (x - p.to_x(p.prior)))
+        } else {
+            (0.0, 0.0)
+        }
+    })
+    .collect()
+}

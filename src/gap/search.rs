@@ -1,0 +1,350 @@
+//! Which effects the recordings ask for: forward, delete and swap.
+//!
+//! From the fitted base model, the candidates that explain most of what was left out of their estimation are put into
+//! the model one at a time; the best few are fitted in full before one is kept. After each step effects that are no
+//! longer needed go. It ends where no candidate is
+//!
+//! - significant: p × number of candidates below [`Limits::family_p`],
+//! - of practical size: its response at least [`Limits::size`] of that of the motors, its gain at least
+//!   [`Limits::gain`] of the cost,
+//! - and of use where it was not fitted: `held_gain` above its standard error.
+
+use super::effect::{ModelFile, Place};
+use super::model::{Built, Chosen, Measured};
+use super::score::{self, Score};
+use super::screen::{Candidate, LEAST_VISIBLE, Look, Screen};
+use super::windows::Windows;
+use super::{GapError, Stage, Watch};
+use crate::sysid::parameter::ParameterRule;
+
+/// What an effect has to reach.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// probability of any candidate by chance
+    pub family_p: f64,
+    /// response, as a part of that of the motors
+    pub size: f64,
+    /// fall of the cost, as a part of it
+    pub gain: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            family_p: 0.001,
+            size: 0.01,
+            gain: 0.01,
+        }
+    }
+}
+
+/// Candidates that are fitted in full before one is kept.
+const RIVALS: usize = 3;
+/// Part of the best one's gain that a rival has.
+const NEAR: f64 = 0.6;
+/// Iterations of a fit after a small change.
+const ITERATIONS: usize = 6;
+/// Iterations of the first fit.
+const FIRST_ITERATIONS: usize = 30;
+/// Chance that a kept effect is none, above which it goes.
+const LEAVES: f64 = 0.01;
+/// A part of the base model's cost: less of a fall and the effect is not kept.
+const REAL: f64 = 0.3;
+
+/// The search as it stands.
+pub(super) struct Search<'a> {
+    pub base: &'a ModelFile,
+    pub rules: &'a [ParameterRule],
+    pub limits: Limits,
+    pub windows: Windows,
+    pub stretch_of: Vec<usize>,
+    pub measured: Measured,
+    pub chosen: Vec<Chosen>,
+    /// evidence of each when it was chosen
+    pub evidence: Vec<Evidence>,
+    pub built: Built,
+    pub x: Vec<f64>,
+    pub cost: f64,
+}
+
+/// Why an effect was chosen.
+#[derive(Debug, Clone)]
+pub(super) struct Evidence {
+    /// probability by chance, times the number of candidates
+    pub p_value: f64,
+    /// fall of the cost, as a part of it
+    pub gain: f64,
+    /// response, as a part of the motors'
+    pub size: Option<f64>,
+}
+
+impl<'a> Search<'a> {
+    /// Fits the base model. The noise of every channel becomes what is left of it: what the model does not explain
+    /// weighs the channels, not what their data sheets say.
+    ///
+    /// # Errors
+    /// See [`Windows::fit`].
+    pub(super) fn new(
+        base: &'a ModelFile,
+        rules: &'a [ParameterRule],
+        mut windows: Windows,
+        limits: Limits,
+        watch: &mut Watch<'_>,
+    ) -> Result<Self, GapError> {
+        let built = Built::new(base, rules, &[], &Measured::default())?;
+        let start = windows.problem.parameters.start();
+        let fit = windows.fit(&start, FIRST_ITERATIONS, &mut |i| watch.fit(i))?;
+        let linear = windows.linearise(&fit.x)?;
+        let mut squares = vec![(0.0, 0.0_f64); windows.problem.channels.len()];
+        for row in &linear.rows {
+            for (c, r) in row.channel.iter().zip(row.residual.iter()) {
+                squares[*c] = (squares[*c].0 + r * r, squares[*c].1 + 1.0);
+            }
+        }
+        for (channel, (sum, n)) in windows.problem.channels.iter_mut().zip(squares) {
+            channel.sigma *= f64::sqrt(sum / n.max(1.0)).max(1.0);
+        }
+        let fit = windows.fit(&fit.x, ITERATIONS, &mut |i| watch.fit(i))?;
+        let recording: Vec<usize> = windows.origin.iter().map(|o| o.0).collect();
+        let measured = Measured::new(&windows.problem, &fit.x, &windows.trajectories)?;
+        Ok(Self {
+            base,
+            rules,
+            limits,
+            stretch_of: score::stretches(&recording),
+            measured,
+            chosen: Vec::new(),
+            evidence: Vec::new(),
+            built,
+            x: fit.x,
+            cost: fit.cost,
+            windows,
+        })
+    }
+
+    /// Every candidate beside the present model; nothing if stopped.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn screen(&self, watch: &mut Watch<'_>) -> Result<Option<Screen>, GapError> {
+        let look = Look {
+            base: self.base,
+            built: &self.built,
+            windows: &self.windows,
+            x: &self.x,
+            measured: &self.measured,
+            stretch_of: &self.stretch_of,
+            taken: (self.chosen.iter())
+                .map(|c| (c.effect.about().name, c.place.clone()))
+                .collect(),
+        };
+        watch.stage(Stage::Screen);
+        look.screen(&mut |done, of| watch.part(done, of))
+    }
+
+    /// Candidates that are worth a place in the model, best first.
+    pub(super) fn worthy<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
+        let tests = tests(screen);
+        let mut worthy: Vec<(&Candidate, f64)> = (screen.candidates.iter())
+            .filter_map(|c| Some((c, c.score.as_ref()?)))
+            .filter(|(c, s)| self.is_worthy(c, s, tests, screen.normal.cost()))
+            .map(|(c, s)| (c, s.held_gain))
+            .collect();
+        worthy.sort_by(|a, b| b.1.total_cmp(&a.1));
+        worthy.into_iter().map(|(c, _)| c).collect()
+    }
+
+    fn is_worthy(&self, c: &Candidate, s: &Score, tests: usize, cost: f64) -> bool {
+        c.sensible
+            && s.visible >= LEAST_VISIBLE
+            && s.p_value * tests as f64 <= self.limits.family_p
+            && s.gain >= self.limits.gain * cost
+            && s.held_gain > s.held_sigma
+            && c.size.is_none_or(|size| size >= self.limits.size)
+    }
+
+    /// Puts the best of the worthy candidates into the model. `false`: none stood a fit.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn forward(
+        &mut self,
+        screen: &Screen,
+        watch: &mut Watch<'_>,
+    ) -> Result<bool, GapError> {
+        let worthy = self.worthy(screen);
+        let held = |c: &Candidate| c.score.as_ref().map_or(0.0, |s| s.held_gain);
+        let Some(most) = worthy.first().map(|c| held(c)) else {
+            return Ok(false);
+        };
+        watch.stage(Stage::Refit);
+        let mut rivals: Vec<&Candidate> = Vec::new();
+        for c in worthy.iter().filter(|c| held(c) >= NEAR * most) {
+            if rivals.len() < RIVALS {
+                rivals.push(c);
+            }
+        }
+        let mut best: Option<(Fitted, &Candidate)> = None;
+        for c in rivals {
+            let mut chosen = self.chosen.clone();
+            chosen.push(Chosen {
+                effect: c.effect,
+                place: c.place.clone(),
+                values: c.values.clone(),
+            });
+            let Some(fitted) = self.fitted(&chosen, watch)? else {
+                continue;
+            };
+            let expected = c.score.as_ref().map_or(0.0, |s| s.gain);
+            let real = self.cost - fitted.cost >= REAL * expected;
+            if real && best.as_ref().is_none_or(|(b, _)| fitted.cost < b.cost) {
+                best = Some((fitted, c));
+            }
+        }
+        let Some((fitted, c)) = best else {
+            return Ok(false);
+        };
+        if let Some(s) = &c.score {
+            self.evidence.push(Evidence {
+                p_value: (s.p_value * tests(screen) as f64).min(1.0),
+                gain: s.gain / screen.normal.cost(),
+                size: c.size,
+            });
+        }
+        self.take(fitted);
+        Ok(true)
+    }
+
+    /// Takes out the effects that are no longer needed; whether there was one.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn delete(&mut self, watch: &mut Watch<'_>) -> Result<bool, GapError> {
+        let mut any = false;
+        while self.chosen.len() > 1 {
+            let normal = self.normal()?;
+            let mut weakest: Option<(f64, usize)> = None;
+            for (i, _) in self.chosen.iter().enumerate() {
+                let p = self.doubt(&normal, i);
+                if p > LEAVES && weakest.is_none_or(|(w, _)| p > w) {
+                    weakest = Some((p, i));
+                }
+            }
+            let Some((_, i)) = weakest else { break };
+            let mut chosen = self.chosen.clone();
+            chosen.remove(i);
+            let Some(fitted) = self.fitted(&chosen, watch)? else {
+                break;
+            };
+            self.evidence.remove(i);
+            self.take(fitted);
+            any = true;
+        }
+        Ok(any)
+    }
+
+    /// Sums of products at the present point, of parameters alone.
+    pub(super) fn normal(&self) -> Result<score::Normal, GapError> {
+        let linear = self.windows.linearise(&self.x)?;
+        let prior = super::screen::prior(&self.windows.problem.parameters, &self.x);
+        Ok(score::Normal::new(
+            &linear.rows,
+            &[],
+            &self.stretch_of,
+            &prior,
+        ))
+    }
+
+    /// Probability that an effect in the model is nothing: of its surest size. 0 for one without a number.
+    pub(super) fn doubt(&self, normal: &score::Normal, effect: usize) -> f64 {
+        let mut least: Option<f64> = None;
+        for (t, dof) in self.sureness(normal, effect) {
+            let p = score::two_sided(t, dof);
+            least = Some(least.map_or(p, |l: f64| l.min(p)));
+        }
+        least.unwrap_or(0.0)
+    }
+
+    /// (t, degrees of freedom) of every size of an effect in the model.
+    pub(super) fn sureness(&self, normal: &score::Normal, effect: usize) -> Vec<(f64, f64)> {
+        let parameters = self.chosen[effect].effect.about().parameters;
+        let free = self.built.free(&self.windows.problem);
+        let own = free
+            .iter()
+            .filter(|f| f.1 == effect && parameters[f.2].is_size());
+        own.map(|(j, i, p, slope)| {
+            let (sigma, dof) = normal.fitted(*j);
+            (self.chosen[*i].values[*p] / (sigma * slope.abs()), dof)
+        })
+        .collect()
+    }
+
+    /// The model with these effects, fitted; nothing if it cannot be.
+    pub(super) fn fitted(
+        &self,
+        chosen: &[Chosen],
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Fitted>, GapError> {
+        let Ok(built) = Built::new(self.base, self.rules, chosen, &self.measured) else {
+            return Ok(None);
+        };
+        let mut windows = self.windows.clone();
+        let Ok(problem) = built.problem(&windows.problem) else {
+            return Ok(None);
+        };
+        let n_base =
+            self.windows.problem.parameters.len() - self.built.free(&self.windows.problem).len();
+        let mut x = problem.parameters.start();
+        x[..n_base].copy_from_slice(&self.x[..n_base]);
+        windows.problem = problem;
+        let fit = match windows.fit(&x, ITERATIONS, &mut |i| watch.fit(i)) {
+            Ok(fit) => fit,
+            Err(crate::sysid::SysidError::Mujoco(error)) => {
+                return Err(GapError::Sysid(error.into()));
+            }
+            Err(_) => return Ok(None),
+        };
+        if windows.len() != self.windows.len() {
+            return Ok(None); // it breaks down where the model before did not
+        }
+        let values = built.values(&windows.problem, &fit.x, chosen);
+        Ok(Some(Fitted {
+            chosen: values,
+            built,
+            x: fit.x,
+            cost: fit.cost,
+            windows,
+        }))
+    }
+
+    /// Makes a fitted model the present one.
+    pub(super) fn take(&mut self, fitted: Fitted) {
+        self.chosen = fitted.chosen;
+        self.built = fitted.built;
+        self.windows = fitted.windows;
+        self.x = fitted.x;
+        self.cost = fitted.cost;
+    }
+
+    /// Whether an effect is in the model.
+    pub(super) fn has(&self, name: &str, place: &Place) -> bool {
+        self.chosen
+            .iter()
+            .any(|c| c.effect.about().name == name && c.place == *place)
+    }
+}
+
+/// Candidates that anything can be seen of: so many tests.
+pub(super) fn tests(screen: &Screen) -> usize {
+    let seen = |c: &&Candidate| c.score.as_ref().is_some_and(|s| s.visible >= LEAST_VISIBLE);
+    screen.candidates.iter().filter(seen).count().max(1)
+}
+
+/// A model with effects, fitted.
+pub(super) struct Fitted {
+    pub chosen: Vec<Chosen>,
+    pub built: Built,
+    pub x: Vec<f64>,
+    pub cost: f64,
+    pub windows: Windows,
+}
