@@ -83,7 +83,7 @@ def whole_toolbox(folder):
 def phantom(program, folder, method):
     rules = [f'[[parameter]]\nelement = "joint/{n}"\nattribute = "armature"\nlower = 1e-3\nupper = 1.0\nstart = {START}\n'
              for n in JOINT_NAMES]
-    (folder / "p.toml").write_text("".join(rules) + '[[channel]]\nname = "*"\nnoise_sigma = 1e-6\n')
+    (folder / "p.toml").write_text('command = "held"\n' + "".join(rules) + '[[channel]]\nname = "*"\nnoise_sigma = 1e-6\n')
     command = [program, "sysid", "--model", "arm.xml", "--parameters", "p.toml", "run.csv", "--json", "--ensemble", "1", *method]
     began = time.perf_counter()
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

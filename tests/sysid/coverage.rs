@@ -11,7 +11,7 @@ use phantom::sysid::interval::Posterior;
 use phantom::sysid::joint::{JointSettings, solve};
 use phantom::sysid::norm::Norm;
 use phantom::sysid::parameter::ParameterRule;
-use phantom::sysid::problem::{ChannelRule, Problem, ProblemConfig};
+use phantom::sysid::problem::{ChannelRule, CommandTiming, Problem, ProblemConfig};
 use rayon::prelude::*;
 
 /// `D` and `M` are damping and mass, `F` friction loss, `A` armature.
@@ -94,6 +94,7 @@ fn config() -> ProblemConfig {
             norm: Norm::default(),
             ignore: false,
         }],
+        command: CommandTiming::Held,
         ..ProblemConfig::default()
     }
 }

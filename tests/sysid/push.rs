@@ -8,7 +8,7 @@ use phantom::rng::{self, Purpose};
 use phantom::sysid::joint::{Fit, JointSettings, Start, solve};
 use phantom::sysid::norm::Norm;
 use phantom::sysid::parameter::ParameterRule;
-use phantom::sysid::problem::{ChannelRule, Problem, ProblemConfig};
+use phantom::sysid::problem::{ChannelRule, CommandTiming, Problem, ProblemConfig};
 
 use crate::simulate::simulate;
 
@@ -99,6 +99,7 @@ fn config(sigma: f64) -> ProblemConfig {
             norm: Norm::default(),
             ignore: false,
         }],
+        command: CommandTiming::Held,
         ..ProblemConfig::default()
     }
 }

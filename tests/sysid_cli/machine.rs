@@ -30,6 +30,7 @@ pub(crate) const TRUE_MASS: f64 = 0.6;
 pub(crate) const SIGMA: f64 = 2e-4;
 
 pub(crate) const PARAMETERS: &str = r#"
+command = "held"
 [[parameter]]
 element = "joint/hinge"
 attribute = "damping"

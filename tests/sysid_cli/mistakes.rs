@@ -64,7 +64,7 @@ fn mistakes_are_named_with_exit_code_2() {
         ),
         (
             &["--parameters", "key.toml", "log1.mcap"],
-            "key.toml:9: unknown field `sigma`",
+            "key.toml:10: unknown field `sigma`",
         ),
         (
             &["--parameters", "bound.toml", "log1.mcap"],

@@ -147,6 +147,7 @@ fn no_better_on_another_machine_is_exit_code_1() {
     let folder = folder();
     // the log of a machine that is the nominal model
     let nominal = r#"
+command = "held"
 [[parameter]]
 element = "joint/hinge"
 attribute = "damping"
@@ -199,6 +200,7 @@ fn what_cannot_be_told_apart_is_said() {
         .replace(r#"damping="0.05""#, r#"damping="0""#);
     fs::write(folder.path().join("weightless.xml"), &model).expect("written");
     let parameters = r#"
+command = "held"
 [[parameter]]
 element = "body/arm"
 attribute = "mass"

@@ -14,7 +14,8 @@ use crate::machine::{MODEL, SIGMA, TRUE_DAMPING, TRUE_MASS, sysid, text};
 
 const MARKER_SIGMA: f64 = 1e-4;
 
-const PARAMETERS: &str = r#"[[parameter]]
+const PARAMETERS: &str = r#"command = "held"
+[[parameter]]
 element = "joint/hinge"
 attribute = "damping"
 [[parameter]]
