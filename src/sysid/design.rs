@@ -116,7 +116,7 @@ pub fn information(
     };
     let motion = joint::solve(&held, &settings, &start, watch)?;
     let mut solver = Solver::new(problem, x, motion.trajectories);
-    solver.force_sigma = motion.force_sigma;
+    solver.force_sigma = held.force_sigma_at(level, &scale);
     let fit = solver.conclude(level, Status::Converged)?;
     let sizes: Vec<f64> = problem.parameters.iter_free().map(|p| p.typical).collect();
     let n = sizes.len();

@@ -42,6 +42,9 @@ pub fn sentences(summary: &Summary) -> Vec<String> {
     let last = summary.history.last().map_or(0, |_| summary.history.len());
     let mut lines = vec![match summary.status {
         Status::Converged => format!("Converged after {last} iterations."),
+        Status::ConvergedAtKink => format!(
+            "Converged after {last} iterations, at a kink of dry friction or contact: the cost rises on all sides."
+        ),
         Status::Stalled => {
             format!("Did not converge: after {last} iterations no step lowers the cost any more.")
         }

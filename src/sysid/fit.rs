@@ -19,12 +19,22 @@ pub struct Start {
 pub enum Status {
     /// the cost no longer falls
     Converged,
+    /// the cost rises on all sides, at a kink of dry friction or contact, and the step that a smooth cost would ask for is
+    /// short against the intervals
+    ConvergedAtKink,
     /// no damping gives a lower cost, though the gradient says there is one
     Stalled,
     /// the iterations ran out
     MaxIterations,
     /// asked to stop
     Interrupted,
+}
+
+impl Status {
+    /// Whether the estimate is where the cost is least.
+    pub fn is_converged(self) -> bool {
+        matches!(self, Self::Converged | Self::ConvergedAtKink)
+    }
 }
 
 /// One iteration.

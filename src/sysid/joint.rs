@@ -18,7 +18,7 @@
 
 pub use super::fit::{Fit, Innovations, Iteration, Start, Status};
 use super::likelihood::Likelihood;
-use super::newton::Solver;
+use super::newton::{Goal, Solver};
 use super::problem::Problem;
 use super::{SysidError, start};
 
@@ -66,6 +66,8 @@ const COARSE: f64 = 0.5;
 const SETTLING: usize = 15;
 /// How many nats of evidence worse a level has to be to end the search.
 const WORSE: f64 = 2.0;
+/// Nats that a level other than the last need not be exact to.
+const SLACK: f64 = 0.05;
 /// Part of the knots in contact from which on trials are followed by simulation.
 const IN_CONTACT: f64 = 0.01;
 
@@ -98,8 +100,9 @@ pub fn solve(
         history.push(i.clone());
         watch(i)
     };
+    let contact = start::contact(problem, &start.x, &trajectories)?;
     let track = match settings.tracking {
-        Tracking::Auto => start::contact(problem, &start.x, &trajectories)? > IN_CONTACT,
+        Tracking::Auto => contact > IN_CONTACT,
         Tracking::Always => true,
         Tracking::Never => false,
     };
@@ -123,6 +126,7 @@ pub fn solve(
             &start.x,
             trajectories,
             &scale,
+            contact > 0.0,
             &mut watch,
         )?,
     };
@@ -137,6 +141,7 @@ fn descended(
     x: &[f64],
     trajectories: Vec<Vec<f64>>,
     scale: &[f64],
+    is_touching: bool,
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Fit, SysidError> {
     let mut solver = Solver::new(problem, x.to_vec(), trajectories);
@@ -145,18 +150,23 @@ fn descended(
         let last = i + 1 == settings.levels.len();
         solver.force_sigma = problem.force_sigma_at(level, scale);
         let early = !last && (!settings.by_evidence || level > COARSE);
-        let (limit, tolerance) = if early {
-            (6, 1e-2)
-        } else {
-            (settings.max_iterations, settings.tolerance)
-        };
-        if early || i == 0 {
+        if i == 0 || (early && is_touching) {
             // the motion first finds its contacts with the parameters as they are
             solver.hold = true;
-            solver.descend(level, SETTLING, 1e-2, watch)?;
+            solver.descend(level, rough(SETTLING), watch)?;
             solver.hold = false;
         }
-        let status = solver.descend(level, limit, tolerance, watch)?;
+        let goal = if early {
+            rough(6)
+        } else {
+            Goal {
+                limit: settings.max_iterations,
+                tolerance: settings.tolerance,
+                slack: if settings.by_evidence { SLACK } else { 0.0 },
+                is_exact: !settings.by_evidence,
+            }
+        };
+        let status = solver.descend(level, goal, watch)?;
         if early && status != Status::Interrupted {
             continue;
         }
@@ -168,16 +178,44 @@ fn descended(
         if best.is_none() || !settings.by_evidence || fit.negative_log_evidence < evidence {
             best = Some(fit);
         }
-        if stop || status == Status::Interrupted {
+        if status == Status::Interrupted {
+            return match best {
+                Some(fit) => Ok(Fit { status, ..fit }),
+                None => solver.conclude(level, status),
+            };
+        }
+        if stop {
             break;
         }
     }
     match best {
+        Some(fit) if settings.by_evidence => {
+            solver.force_sigma = problem.force_sigma_at(fit.level, scale);
+            solver.go(fit.x, fit.trajectories);
+            let goal = Goal {
+                limit: settings.max_iterations,
+                tolerance: settings.tolerance,
+                slack: 0.0,
+                is_exact: true,
+            };
+            let status = solver.descend(fit.level, goal, watch)?;
+            solver.conclude(fit.level, status)
+        }
         Some(fit) => Ok(fit),
         None => solver.conclude(
             settings.levels[settings.levels.len() - 1],
             Status::MaxIterations,
         ),
+    }
+}
+
+/// A goal on the way to a stricter one.
+fn rough(limit: usize) -> Goal {
+    Goal {
+        limit,
+        tolerance: 1e-2,
+        slack: SLACK,
+        is_exact: false,
     }
 }
 

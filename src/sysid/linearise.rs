@@ -22,6 +22,10 @@
 //! ```
 //!
 //! A sensor that depends on the acceleration is read at ā(q, v, P), which solves τ(q, v, ā, P) = u.
+//!
+//! Columns of parts that nothing connects (see [`super::islands`]) are changed at once. During a descent forces keep the
+//! A₀ they had where it began as their metric, A₀ (a − ā) in place of A (a − ā), so that the cost is one function of
+//! motion and parameters: derivatives are those above, times A₀ A⁻¹.
 
 use std::ops::Range;
 
@@ -30,8 +34,9 @@ use rayon::prelude::*;
 
 use super::SysidError;
 use super::inverse::{Changed, Inverse};
-use super::manifold::{rotations, times_jacobian};
-use super::point::{Kinematics, Point, chunks, read_channels};
+use super::islands::{Island, Islands};
+use super::manifold::times_jacobian;
+use super::point::{Evaluated, Kinematics, Point, chunks, read_channels};
 
 /// Change of a position in a finite difference, rad or m.
 const STEP_POSITION: f64 = 1e-7;
@@ -42,28 +47,58 @@ const STEP_ACCELERATION: f64 = 1e-3;
 /// Of a parameter, relative to its typical change.
 const STEP_PARAMETER: f64 = 1e-6;
 
-/// Rows of every knot: (nv + channels) × (3 nv + np + 1), the value itself in the last column.
+/// Rows of every knot of a part of the model: (n + channels) × (3 n + parameters + 1), the value itself in the last
+/// column.
 pub(super) struct Blocks {
     rows_per_knot: usize,
     width: usize,
     rows: Vec<f64>,
-    mass: Vec<f64>, // (knots × nv × nv) A
+    metric: Vec<f64>, // (knots × n × n) A
 }
 
 impl Blocks {
+    fn new(island: &Island, n_knots: usize) -> Self {
+        let (n, rows_per_knot, width) = (island.dofs.len(), island.n_rows(), island.width());
+        Self {
+            rows_per_knot,
+            width,
+            rows: vec![0.0; n_knots * rows_per_knot * width],
+            metric: vec![0.0; n_knots * n * n],
+        }
+    }
+
     /// Row `i` of knot `k`: forces, then channels; columns q₋, q, q₊, x, value.
     pub(super) fn row(&self, k: usize, i: usize) -> &[f64] {
         let at = (k * self.rows_per_knot + i) * self.width;
         &self.rows[at..at + self.width]
     }
 
-    /// Missing force (nv) at knot `k` where a − ā is `defect`.
-    pub(super) fn force(&self, k: usize, defect: &[f64], out: &mut [f64]) {
-        let nv = defect.len();
-        let mass = &self.mass[k * nv * nv..(k + 1) * nv * nv];
-        for (out, row) in out.iter_mut().zip(mass.chunks_exact(nv)) {
-            *out = row.iter().zip(defect).map(|(a, d)| a * d).sum();
+    /// Missing force at knot `k` where a − ā (nv) is `defect`.
+    pub(super) fn force(&self, island: &Island, k: usize, defect: &[f64], out: &mut [f64]) {
+        let n = island.dofs.len();
+        let metric = &self.metric[k * n * n..(k + 1) * n * n];
+        for (out, row) in out.iter_mut().zip(metric.chunks_exact(n)) {
+            *out = (row.iter().zip(&island.dofs))
+                .map(|(a, d)| a * defect[*d])
+                .sum();
         }
+    }
+}
+
+/// Rows and metric of some knots of one part.
+struct Section<'a> {
+    island: &'a Island,
+    rows: &'a mut [f64],
+    metric: &'a mut [f64],
+    /// A of an earlier linearisation, which is to stay
+    kept: Option<&'a [f64]>,
+}
+
+impl Section<'_> {
+    /// Rows of the `at`th knot.
+    fn knot(&mut self, at: usize) -> &mut [f64] {
+        let size = self.island.n_rows() * self.island.width();
+        &mut self.rows[at * size..(at + 1) * size]
     }
 }
 
@@ -75,158 +110,210 @@ impl Point<'_> {
         read_channels(self.problem, inverse, &mut out[nv..]);
     }
 
-    /// Values and derivatives of all knots.
-    pub(super) fn linearise(&self) -> Result<Blocks, SysidError> {
-        let nv = self.problem.model.nv();
-        let rows_per_knot = nv + self.problem.channels.len();
-        let width = 3 * nv + self.x.len() + 1;
+    /// Values and derivatives of all knots, part by part, where `evaluated` is what the model says at this point.
+    /// Forces are measured by the metric of `kept`, if given.
+    pub(super) fn linearise(
+        &self,
+        evaluated: &Evaluated,
+        islands: &Islands,
+        kept: Option<&[Blocks]>,
+    ) -> Result<Vec<Blocks>, SysidError> {
         let n_knots = self.trial.n_knots;
         let controls = self.problem.controls(self.trial, self.x);
-        let mut rows = vec![0.0; n_knots * rows_per_knot * width];
-        let mut mass = vec![0.0; n_knots * nv * nv];
-        let parts = chunks(0..n_knots);
-        let size = parts[0].len();
-        (parts.into_par_iter())
-            .zip(rows.par_chunks_mut(size * rows_per_knot * width))
-            .zip(mass.par_chunks_mut(size * nv * nv))
-            .try_for_each(|((part, rows), mass)| self.part(part, &controls, rows, mass, width))?;
-        Ok(Blocks {
-            rows_per_knot,
-            width,
-            rows,
-            mass,
-        })
-    }
-
-    fn part(
-        &self,
-        part: Range<usize>,
-        controls: &[f64],
-        rows: &mut [f64],
-        mass: &mut [f64],
-        width: usize,
-    ) -> Result<(), SysidError> {
-        let nv = self.problem.model.nv();
-        let per_knot = rows.len() / part.len();
-        let mut inverse = self.inverse()?;
-        let mut kinematics = Vec::with_capacity(part.len());
-        for (k, rows) in part.clone().zip(rows.chunks_exact_mut(per_knot)) {
-            let mut at = Kinematics::new(nv);
-            if !self.kinematics(&mut inverse, controls, k, &mut at)? {
-                return Err(SysidError::NoStep {
-                    recording: self.trial.name.clone(),
-                    time_s: k as f64 * self.problem.model.timestep(),
+        let mut out: Vec<Blocks> = (islands.parts.iter())
+            .map(|island| Blocks::new(island, n_knots))
+            .collect();
+        let ranges = chunks(0..n_knots);
+        let size = ranges[0].len();
+        let mut sections: Vec<Vec<Section>> = ranges.iter().map(|_| Vec::new()).collect();
+        for (i, (island, blocks)) in islands.parts.iter().zip(&mut out).enumerate() {
+            let n = island.dofs.len();
+            let rows = (blocks.rows).chunks_mut(size * island.n_rows() * island.width());
+            let metric = blocks.metric.chunks_mut(size * n * n);
+            for (c, (rows, metric)) in rows.zip(metric).enumerate() {
+                let kept = kept.map(|k| {
+                    let first = c * size * n * n;
+                    &k[i].metric[first..first + metric.len()]
+                });
+                sections[c].push(Section {
+                    island,
+                    rows,
+                    metric,
+                    kept,
                 });
             }
-            self.trajectory_columns(&mut inverse, &at, k, rows, width)?;
-            kinematics.push(at);
         }
-        self.parameter_columns(&mut inverse, part.clone(), &kinematics, rows, width)?;
-        for (((k, rows), mass), at) in part
-            .zip(rows.chunks_exact_mut(per_knot))
-            .zip(mass.chunks_exact_mut(nv * nv))
-            .zip(&kinematics)
-        {
-            if !self.is_end(k) {
-                at_prediction(rows, mass, at, width);
+        (ranges.into_par_iter())
+            .zip(sections)
+            .try_for_each(|(range, mut sections)| {
+                let kinematics = &evaluated.kinematics[range.clone()];
+                self.section(range, &controls, kinematics, islands, &mut sections)
+            })?;
+        Ok(out)
+    }
+
+    fn section(
+        &self,
+        range: Range<usize>,
+        controls: &[f64],
+        kinematics: &[Kinematics],
+        islands: &Islands,
+        sections: &mut [Section],
+    ) -> Result<(), SysidError> {
+        let nu = self.problem.model.nu();
+        let mut inverse = self.inverse()?;
+        for (i, (k, at)) in range.clone().zip(kinematics).enumerate() {
+            inverse.set_ctrl(&controls[k * nu..(k + 1) * nu]);
+            self.trajectory_columns(&mut inverse, at, k, i, sections)?;
+        }
+        for group in &islands.colours {
+            self.parameter_columns(&mut inverse, group, range.clone(), kinematics, sections)?;
+        }
+        for section in sections {
+            let n = section.island.dofs.len();
+            for (i, (k, at)) in range.clone().zip(kinematics).enumerate() {
+                let here = i * n * n..(i + 1) * n * n;
+                let size = section.island.n_rows() * section.island.width();
+                let rows = &mut section.rows[i * size..(i + 1) * size];
+                if !self.is_end(k) {
+                    let metric = &mut section.metric[here.clone()];
+                    at_prediction(section.island, rows, metric);
+                    if let Some(kept) = section.kept {
+                        measure_by(section.island, rows, metric, &kept[here]);
+                    }
+                    complete(section.island, rows, metric, at);
+                }
+                self.chain(section.island, k, rows, at);
             }
-            self.chain(k, rows, at, width);
         }
         Ok(())
     }
 
-    /// Derivatives by a, v, q of τ and sensors into the three blocks, values into the last column.
+    /// Derivatives by a, v, q of τ and sensors into the three blocks of knot `k`, the `i`th of the sections; values into
+    /// the last column.
     fn trajectory_columns(
         &self,
         inverse: &mut Inverse,
         at: &Kinematics,
         k: usize,
-        rows: &mut [f64],
-        width: usize,
+        i: usize,
+        sections: &mut [Section],
     ) -> Result<(), SysidError> {
         let model = &self.problem.model;
         let nv = model.nv();
-        let n = rows.len() / width;
-        let mut base = vec![0.0; n];
-        let mut moved = vec![0.0; n];
+        let n = nv + self.problem.channels.len();
+        let (mut base, mut moved) = (vec![0.0; n], vec![0.0; n]);
         let mut a = at.predicted.clone();
         let mut v = at.before.clone();
         let ends = self.is_end(k);
         inverse.evaluate(self.knot(k), &v, &a, Changed::Position)?;
         self.read_all(inverse, &mut base);
-        let store = |moved: &[f64], rows: &mut [f64], column: usize, step: f64| {
-            for (i, (m, b)) in moved.iter().zip(&base).enumerate() {
-                rows[i * width + column] = (m - b) / step;
+        // columns of different parts at once
+        let most = (sections.iter().map(|s| s.island.dofs.len())).max();
+        let colours: Vec<Vec<usize>> = (0..most.unwrap_or(0))
+            .map(|c| {
+                (sections.iter())
+                    .filter_map(|s| s.island.dofs.get(c).copied())
+                    .collect()
+            })
+            .collect();
+        let mut store = |moved: &[f64], block: usize, c: usize, step: f64| {
+            for section in &mut *sections {
+                let island = section.island;
+                if c < island.dofs.len() {
+                    let column = block * island.dofs.len() + c;
+                    let rows = section.knot(i).chunks_exact_mut(island.width());
+                    for (row, e) in rows.zip(entries(island, nv)) {
+                        row[column] = (moved[e] - base[e]) / step;
+                    }
+                }
             }
         };
         // blocks hold τ_a, τ_q, τ_v for now
-        if !ends {
-            for j in 0..nv {
-                let old = a[j];
-                a[j] += STEP_ACCELERATION;
-                inverse.evaluate(self.knot(k), &v, &a, Changed::Acceleration)?;
-                self.read_all(inverse, &mut moved);
-                store(&moved, rows, j, STEP_ACCELERATION);
-                a[j] = old;
+        for (c, dofs) in colours.iter().enumerate().filter(|_| !ends) {
+            for &d in dofs {
+                a[d] += STEP_ACCELERATION;
+            }
+            inverse.evaluate(self.knot(k), &v, &a, Changed::Acceleration)?;
+            self.read_all(inverse, &mut moved);
+            store(&moved, 0, c, STEP_ACCELERATION);
+            for &d in dofs {
+                a[d] = at.predicted[d];
             }
         }
-        for j in 0..nv {
-            let old = v[j];
-            v[j] += STEP_VELOCITY;
+        for (c, dofs) in colours.iter().enumerate() {
+            for &d in dofs {
+                v[d] += STEP_VELOCITY;
+            }
             inverse.evaluate(self.knot(k), &v, &a, Changed::Velocity)?;
             self.read_all(inverse, &mut moved);
-            store(&moved, rows, 2 * nv + j, STEP_VELOCITY);
-            v[j] = old;
+            store(&moved, 2, c, STEP_VELOCITY);
+            for &d in dofs {
+                v[d] = at.before[d];
+            }
         }
         let mut tangent = vec![0.0; nv];
-        for j in 0..nv {
+        for (c, dofs) in colours.iter().enumerate() {
             let mut qpos = self.knot(k).to_vec();
-            tangent[j] = STEP_POSITION;
+            for &d in dofs {
+                tangent[d] = STEP_POSITION;
+            }
             model.integrate_pos(&mut qpos, &tangent, 1.0)?;
-            tangent[j] = 0.0;
+            for &d in dofs {
+                tangent[d] = 0.0;
+            }
             inverse.evaluate(&qpos, &v, &a, Changed::Position)?;
             self.read_all(inverse, &mut moved);
-            store(&moved, rows, nv + j, STEP_POSITION);
+            store(&moved, 1, c, STEP_POSITION);
         }
-        for (row, base) in rows.chunks_exact_mut(width).zip(&base) {
-            row[width - 1] = *base;
-        }
-        if ends {
-            // no force here
-            rows[..nv * width].fill(0.0);
+        for section in sections {
+            let island = section.island;
+            let rows = section.knot(i).chunks_exact_mut(island.width());
+            for (row, e) in rows.zip(entries(island, nv)) {
+                row[island.width() - 1] = base[e];
+            }
+            if ends {
+                // no force here
+                section.knot(i)[..island.dofs.len() * island.width()].fill(0.0);
+            }
         }
         Ok(())
     }
 
+    /// Derivatives by the parameters of a group, of which no part has two.
     fn parameter_columns(
         &self,
         inverse: &mut Inverse,
-        part: Range<usize>,
+        group: &[usize],
+        range: Range<usize>,
         kinematics: &[Kinematics],
-        rows: &mut [f64],
-        width: usize,
+        sections: &mut [Section],
     ) -> Result<(), SysidError> {
         let (nv, nu) = (self.problem.model.nv(), self.problem.model.nu());
-        let per_knot = rows.len() / part.len();
-        let mut moved = vec![0.0; per_knot / width];
-        for (j, parameter) in self.problem.parameters.iter_free().enumerate() {
-            let step = STEP_PARAMETER * parameter.typical;
-            let mut x = self.x.to_vec();
-            x[j] += step;
-            let controls = self.problem.controls(self.trial, &x);
-            inverse.set_parameters(&self.problem.parameters, &self.problem.model, &x)?;
-            for ((k, rows), at) in part
-                .clone()
-                .zip(rows.chunks_exact_mut(per_knot))
-                .zip(kinematics)
-            {
-                inverse.set_ctrl(&controls[k * nu..(k + 1) * nu]);
-                inverse.evaluate(self.knot(k), &at.before, &at.predicted, Changed::Position)?;
-                self.read_all(inverse, &mut moved);
-                let ends = self.is_end(k);
-                for (i, row) in rows.chunks_exact_mut(width).enumerate() {
-                    if !(ends && i < nv) {
-                        row[3 * nv + j] = (moved[i] - row[width - 1]) / step;
+        let mut moved = vec![0.0; nv + self.problem.channels.len()];
+        let mut x = self.x.to_vec();
+        let free: Vec<_> = self.problem.parameters.iter_free().collect();
+        let step = |j: usize| STEP_PARAMETER * free[j].typical;
+        for &j in group {
+            x[j] += step(j);
+        }
+        let controls = self.problem.controls(self.trial, &x);
+        inverse.set_parameters(&self.problem.parameters, &self.problem.model, &x)?;
+        for (i, (k, at)) in range.zip(kinematics).enumerate() {
+            inverse.set_ctrl(&controls[k * nu..(k + 1) * nu]);
+            inverse.evaluate(self.knot(k), &at.before, &at.predicted, Changed::Position)?;
+            self.read_all(inverse, &mut moved);
+            let ends = self.is_end(k);
+            for section in &mut *sections {
+                let island = section.island;
+                let own = (island.parameters.iter()).position(|j| group.contains(j));
+                let Some(own) = own else { continue };
+                let (n, width) = (island.dofs.len(), island.width());
+                let step = step(island.parameters[own]);
+                let rows = section.knot(i).chunks_exact_mut(width);
+                for (r, (row, e)) in rows.zip(entries(island, nv)).enumerate() {
+                    if !(ends && r < n) {
+                        row[3 * n + own] = (moved[e] - row[width - 1]) / step;
                     }
                 }
             }
@@ -235,11 +322,12 @@ impl Point<'_> {
     }
 
     /// From (`τ_a`, `τ_q`, `τ_v`) to (q₋, q, q₊).
-    fn chain(&self, k: usize, rows: &mut [f64], at: &Kinematics, width: usize) {
-        let model = &self.problem.model;
-        let (nv, h) = (model.nv(), model.timestep());
+    fn chain(&self, island: &Island, k: usize, rows: &mut [f64], at: &Kinematics) {
+        let h = self.problem.model.timestep();
+        let (nv, width) = (island.dofs.len(), island.width());
         let n = rows.len() / width;
-        let turning = rotations(model);
+        let own = |all: &[f64]| -> Vec<f64> { island.dofs.iter().map(|d| all[*d]).collect() };
+        let (before, after) = (own(&at.before), own(&at.after));
         let block = |b: usize| -> Vec<f64> {
             rows.chunks_exact(width)
                 .flat_map(|row| row[b * nv..(b + 1) * nv].to_vec())
@@ -254,13 +342,13 @@ impl Point<'_> {
         let through_a: Vec<f64> = by_a.iter().map(|a| a / (h * h)).collect();
         let times = |a: &[f64], qvel: &[f64], h: f64| {
             let mut a = a.to_vec();
-            times_jacobian(&mut a, nv, &turning, qvel, h);
+            times_jacobian(&mut a, nv, &island.rotations, qvel, h);
             a
         };
-        let minus = times(&through_v, &at.before, -h);
-        let own = times(&through_v, &at.before, h);
-        let back = times(&through_a, &at.after, -h);
-        let plus = times(&through_a, &at.after, h);
+        let minus = times(&through_v, &before, -h);
+        let own = times(&through_v, &before, h);
+        let back = times(&through_a, &after, -h);
+        let plus = times(&through_a, &after, h);
         for i in 0..n {
             let row = &mut rows[i * width..(i + 1) * width];
             for j in 0..nv {
@@ -277,22 +365,17 @@ impl Point<'_> {
     }
 }
 
-/// Completes the value of forces, whose rows hold τ at ā, and carries the dependence of sensors on ā to what ā
-/// depends on.
-fn at_prediction(rows: &mut [f64], mass: &mut [f64], at: &Kinematics, width: usize) {
-    let nv = at.before.len();
+/// Places of a part's rows among forces (nv) and channels of the whole.
+fn entries(island: &Island, nv: usize) -> impl Iterator<Item = usize> {
+    (island.dofs.iter().copied()).chain(island.channels.iter().map(move |c| nv + c))
+}
+
+/// Takes out A, and carries the dependence of sensors on ā to what ā depends on.
+fn at_prediction(island: &Island, rows: &mut [f64], metric: &mut [f64]) {
+    let (nv, width) = (island.dofs.len(), island.width());
     let (forces, sensors) = rows.split_at_mut(nv * width);
-    for (mass, row) in mass
-        .chunks_exact_mut(nv)
-        .zip(forces.chunks_exact_mut(width))
-    {
-        mass.copy_from_slice(&row[..nv]);
-        let defect = at
-            .acceleration
-            .iter()
-            .zip(&at.predicted)
-            .map(|(a, p)| a - p);
-        row[width - 1] += mass.iter().zip(defect).map(|(m, d)| m * d).sum::<f64>();
+    for (metric, row) in (metric.chunks_exact_mut(nv)).zip(forces.chunks_exact(width)) {
+        metric.copy_from_slice(&row[..nv]);
     }
     let mut solved = None;
     for row in sensors.chunks_exact_mut(width) {
@@ -302,7 +385,7 @@ fn at_prediction(rows: &mut [f64], mass: &mut [f64], at: &Kinematics, width: usi
         }
         row[..nv].fill(0.0);
         let transposed =
-            solved.get_or_insert_with(|| DMatrix::from_column_slice(nv, nv, mass).lu());
+            solved.get_or_insert_with(|| DMatrix::from_column_slice(nv, nv, metric).lu());
         if let Some(y) = transposed.solve(&by_a) {
             for (force, y) in forces.chunks_exact(width).zip(y.iter()) {
                 for (s, f) in row[nv..width - 1].iter_mut().zip(&force[nv..width - 1]) {
@@ -310,5 +393,37 @@ fn at_prediction(rows: &mut [f64], mass: &mut [f64], at: &Kinematics, width: usi
                 }
             }
         }
+    }
+}
+
+/// Turns forces into what they are by the metric `kept`: A₀ A⁻¹ times themselves.
+fn measure_by(island: &Island, rows: &mut [f64], metric: &mut [f64], kept: &[f64]) {
+    let (n, width) = (island.dofs.len(), island.width());
+    if metric == kept {
+        return;
+    }
+    let transposed = DMatrix::from_column_slice(n, n, metric).lu();
+    // (A₀ A⁻¹)ᵀ = A⁻ᵀ A₀ᵀ
+    let Some(turn) = transposed.solve(&DMatrix::from_column_slice(n, n, kept)) else {
+        return;
+    };
+    let forces = &mut rows[..n * width];
+    let old = DMatrix::from_row_slice(n, width, forces);
+    let new = turn.tr_mul(&old);
+    for (i, row) in forces.chunks_exact_mut(width).enumerate() {
+        for (j, v) in row.iter_mut().enumerate() {
+            *v = new[(i, j)];
+        }
+    }
+    metric.copy_from_slice(kept);
+}
+
+/// The value of forces: A (a − ā).
+fn complete(island: &Island, rows: &mut [f64], metric: &[f64], at: &Kinematics) {
+    let (n, width) = (island.dofs.len(), island.width());
+    for (metric, row) in (metric.chunks_exact(n)).zip(rows.chunks_exact_mut(width)) {
+        row[width - 1] = (metric.iter().zip(&island.dofs))
+            .map(|(m, d)| m * (at.acceleration[*d] - at.predicted[*d]))
+            .sum::<f64>();
     }
 }

@@ -24,6 +24,7 @@ mod arrow;
 mod backward;
 mod box_qp;
 pub mod check;
+mod conclude;
 pub mod design;
 pub mod ensemble;
 mod evolution;
@@ -34,6 +35,7 @@ pub mod holdout;
 pub(crate) mod instrument;
 pub mod interval;
 pub mod inverse;
+mod islands;
 pub mod joint;
 pub mod leave_out;
 mod likelihood;
@@ -49,13 +51,20 @@ mod pose;
 pub mod predict;
 mod prior;
 pub mod problem;
+mod reach;
 pub mod rollouts;
 mod rows;
 mod separate;
 pub mod shooting;
 mod smooth;
+<<<<<<< HEAD
 pub(crate) mod start;
 pub(crate) mod student;
+=======
+mod start;
+mod step;
+mod student;
+>>>>>>> 537c44e (Identify parts that nothing connects apart)
 pub mod summary;
 mod track;
 mod trial;

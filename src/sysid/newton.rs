@@ -1,21 +1,37 @@
 //! Damped Gauss-Newton at one level of unexplained force.
-
-use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
+//!
+//! Parts of a model that nothing connects (see [`super::islands`]) are eliminated apart and meet in the parameters.
+//! Where a step ends, forces are not what their linearisation said: a linkage is so stiff that the second order of a
+//! small turn outweighs all else. Such a step is corrected before it is given up: the same linearisation is solved
+//! again with the forces that were found there in place of those that were foreseen,
+//!
+//! ```text
+//! r + J δ'  →  r(z + δ) + J (δ' − δ)
+//! ```
+//!
+//! Reference: Nocedal and Wright 2006, "Numerical Optimization", 18.3 (second-order correction).
 
 use super::SysidError;
-use super::arrow::Arrow;
-use super::box_qp::solve_in_box;
-use super::fit::{Fit, Innovations, Iteration, Status};
+use super::fit::{Iteration, Status};
+use super::islands::Islands;
 use super::linearise::Blocks;
 use super::point::{Evaluated, Point};
 use super::problem::Problem;
+use super::step::Forces;
 
 const FIRST_DAMPING: f64 = 1e-3;
-const LEAST_DAMPING: f64 = 1e-9;
+pub(super) const LEAST_DAMPING: f64 = 1e-9;
 const MOST_DAMPING: f64 = 1e8;
-/// Cost by the forces where a step ends, over that where it began, up to which it is taken.
-const GROWTH: f64 = 1.5;
+/// Fall of the cost over the one foreseen below which a step is corrected.
+const POOR: f64 = 0.5;
+/// Most corrections of a step.
+const CORRECTIONS: usize = 3;
+
+/// Standard deviations of a parameter, the motion marginalised, that a step at a kink may be long.
+const KINK: f64 = 0.5;
+
+/// Every part of every trial.
+pub(super) type Linear = Vec<Vec<Blocks>>;
 
 /// The present point of the descent.
 pub(super) struct Solver<'a> {
@@ -26,9 +42,51 @@ pub(super) struct Solver<'a> {
     pub x: Vec<f64>,
     /// per trial (knots × nq)
     pub trajectories: Vec<Vec<f64>>,
+    /// per trial
+    pub(super) islands: Vec<Islands>,
     damping: f64,
     /// whether parameters stay as they are
     pub hold: bool,
+    pub(super) state: Option<State>,
+}
+
+/// A point with its linearisation.
+pub(super) struct State {
+    pub here: Vec<Evaluated>,
+    pub linear: Linear,
+    /// whether forces are measured as at an earlier point
+    is_metric_old: bool,
+}
+
+/// When a descent ends.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Goal {
+    /// most iterations
+    pub limit: usize,
+    /// fall of the cost, relative to it, that is not worth a step
+    pub tolerance: f64,
+    /// the same in nats
+    pub slack: f64,
+    /// whether forces have to be measured as they are where it ends
+    pub is_exact: bool,
+}
+
+/// Where a step leads.
+struct Step {
+    x: Vec<f64>,
+    dx: Vec<f64>,
+    trajectories: Vec<Vec<f64>>,
+    evaluated: Vec<Evaluated>,
+    cost: f64,
+}
+
+enum Attempt {
+    /// no step is worth taking
+    Settled,
+    /// one that lowers the cost
+    Step(Box<Step>),
+    /// none was found
+    Failed,
 }
 
 impl<'a> Solver<'a> {
@@ -37,9 +95,11 @@ impl<'a> Solver<'a> {
             problem,
             force_sigma: vec![0.0; problem.model.nv()],
             x,
+            islands: vec![Islands::default(); trajectories.len()],
             trajectories,
             damping: FIRST_DAMPING,
             hold: false,
+            state: None,
         }
     }
 
@@ -52,252 +112,222 @@ impl<'a> Solver<'a> {
         }
     }
 
+    /// Goes to another point.
+    pub(super) fn go(&mut self, x: Vec<f64>, trajectories: Vec<Vec<f64>>) {
+        if x != self.x || trajectories != self.trajectories {
+            (self.x, self.trajectories, self.state) = (x, trajectories, None);
+        }
+    }
+
     /// Gauss-Newton at one level.
     pub(super) fn descend(
         &mut self,
         level: f64,
-        limit: usize,
-        tolerance: f64,
+        goal: Goal,
         watch: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Status, SysidError> {
+        let mut state = self.state()?;
+        let status = self.run(&mut state, level, goal, watch);
+        self.state = Some(state);
+        status
+    }
+
+    fn run(
+        &mut self,
+        state: &mut State,
+        level: f64,
+        goal: Goal,
+        watch: &mut dyn FnMut(&Iteration) -> bool,
+    ) -> Result<Status, SysidError> {
+        let mut before = self.cost(&self.x, &state.here, &state.linear);
         let mut small = 0;
-        let mut linear = self.linearise()?;
-        for _ in 0..limit {
-            let mut before = f64::INFINITY;
-            let mut taken = None;
-            while taken.is_none() && self.damping <= MOST_DAMPING {
-                let (arrows, dx, present) = self.step(&linear, self.damping);
-                before = present;
-                let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
-                let moved = self.moved(&arrows, &dx)?;
-                // a trial step may leave what the engine accepts: then it is no step
-                let new = self.cost(&x, &moved, &linear).unwrap_or(f64::INFINITY);
-                if new.is_finite() && new <= before {
-                    // what a force is in motion changes along the way: where the step ends, it may be a little more
-                    let old = (
-                        std::mem::replace(&mut self.x, x),
-                        std::mem::replace(&mut self.trajectories, moved),
-                    );
-                    if let Some((there, cost)) =
-                        self.linearised()?.filter(|t| t.1 <= GROWTH * before)
-                    {
-                        taken = Some((there, cost, dx));
-                        continue;
-                    }
-                    (self.x, self.trajectories) = old;
-                }
+        for _ in 0..goal.limit {
+            let slack = goal.tolerance * before + goal.slack;
+            let mut attempt = self.attempt(&state.linear, before, slack)?;
+            while matches!(attempt, Attempt::Failed) && self.damping <= MOST_DAMPING {
                 self.damping *= if self.damping < 1e-6 { 1e3 } else { 10.0 };
+                attempt = self.attempt(&state.linear, before, slack)?;
             }
-            let Some((there, cost, dx)) = taken else {
-                self.damping = FIRST_DAMPING;
-                return Ok(if small > 0 {
-                    Status::Converged
-                } else {
-                    Status::Stalled
-                });
+            let step = match attempt {
+                Attempt::Step(step) => step,
+                Attempt::Settled | Attempt::Failed if goal.is_exact && state.is_metric_old => {
+                    before = self.renew(state)?;
+                    continue;
+                }
+                Attempt::Settled => return Ok(Status::Converged),
+                Attempt::Failed => {
+                    self.damping = FIRST_DAMPING;
+                    return Ok(if small > 0 {
+                        Status::Converged
+                    } else {
+                        self.at_a_kink(&state.linear)
+                    });
+                }
             };
-            linear = there;
-            let decrease = (before - cost) / before.max(f64::MIN_POSITIVE);
-            let step = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
             let record = Iteration {
                 level,
-                cost,
+                cost: step.cost,
                 damping: self.damping,
-                step,
-                x: self.x.clone(),
+                step: step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs())),
+                x: step.x.clone(),
             };
+            // twice in a row, as one small step may be the damping's doing
+            small = if before - step.cost < slack {
+                small + 1
+            } else {
+                0
+            };
+            (self.x, self.trajectories, state.here) = (step.x, step.trajectories, step.evaluated);
             self.damping = (self.damping * 0.1).max(LEAST_DAMPING);
             let go_on = watch(&record);
+            let is_joined = self.join(&state.here);
+            let is_done = small >= 2 || step.cost < 1e-20;
+            if is_joined || (is_done && goal.is_exact && state.is_metric_old) {
+                before = self.renew(state)?;
+                small = small.min(1);
+            } else {
+                state.linear = self.linearise(&state.here, Some(&state.linear))?;
+                state.is_metric_old = true;
+                before = step.cost;
+                if is_done {
+                    return Ok(Status::Converged);
+                }
+            }
             if !go_on {
                 return Ok(Status::Interrupted);
-            }
-            // twice in a row, as one small step may be the damping's doing
-            small = if decrease < tolerance { small + 1 } else { 0 };
-            if small >= 2 || cost < 1e-20 {
-                return Ok(Status::Converged);
             }
         }
         Ok(Status::MaxIterations)
     }
 
-    /// The present point linearised, and its cost; `None` where the engine does not accept it.
-    fn linearised(&self) -> Result<Option<(Vec<Blocks>, f64)>, SysidError> {
-        let Ok(linear) = self.linearise() else {
-            return Ok(None);
+    /// The linearisation of the present point, forces measured as they are there.
+    pub(super) fn state(&mut self) -> Result<State, SysidError> {
+        let mut state = match self.state.take() {
+            Some(state) => state,
+            None => State {
+                here: self.here()?,
+                linear: Linear::new(),
+                is_metric_old: true,
+            },
         };
-        let cost = self.cost(&self.x, &self.trajectories, &linear)?;
-        Ok(cost.is_finite().then_some((linear, cost)))
+        if state.is_metric_old {
+            self.renew(&mut state)?;
+        }
+        Ok(state)
     }
 
-    fn linearise(&self) -> Result<Vec<Blocks>, SysidError> {
-        (self.trajectories.iter().enumerate())
-            .map(|(i, qpos)| self.point(i, qpos, &self.x).linearise())
-            .collect()
+    /// Measures forces as they are at the present point, and gives the cost.
+    fn renew(&self, state: &mut State) -> Result<f64, SysidError> {
+        state.linear = self.linearise(&state.here, None)?;
+        state.is_metric_old = false;
+        Ok(self.cost(&self.x, &state.here, &state.linear))
     }
 
-    /// Cost of a trial step; missing forces by the A of the present linearisation.
-    fn cost(
+    /// Why no step lowers the cost.
+    fn at_a_kink(&self, linear: &Linear) -> Status {
+        let (normal, dx) = self.undamped(linear);
+        let Some(covariance) = normal.try_inverse() else {
+            return Status::Stalled;
+        };
+        let far = (dx.iter().enumerate())
+            .map(|(i, d)| d.abs() / covariance[(i, i)].max(0.0).sqrt())
+            .fold(0.0, f64::max);
+        if far < KINK {
+            Status::ConvergedAtKink
+        } else {
+            Status::Stalled
+        }
+    }
+
+    /// A step at the present damping that lowers the cost by more than `slack`, corrected if need be.
+    fn attempt(&self, linear: &Linear, before: f64, slack: f64) -> Result<Attempt, SysidError> {
+        let mut best: Option<Box<Step>> = None;
+        let mut found: Option<Forces> = None;
+        for round in 0..=CORRECTIONS {
+            let (arrows, dx, foreseen) = self.step(linear, self.damping, found.as_ref());
+            if round == 0 && self.damping <= FIRST_DAMPING && before - foreseen < slack {
+                return Ok(Attempt::Settled);
+            }
+            let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
+            let changes = self.changes(&arrows, &dx);
+            let trajectories = self.moved(&changes)?;
+            // a trial step may leave what the engine accepts: then it is no step
+            let Ok(Some(evaluated)) = self.evaluate(&x, &trajectories) else {
+                break;
+            };
+            let cost = self.cost(&x, &evaluated, linear);
+            if cost.is_nan() {
+                break;
+            }
+            let is_better = cost <= best.as_ref().map_or(before, |b| b.cost);
+            let is_good = before - cost >= POOR * (before - foreseen);
+            let give_up = is_good || (!is_better && best.is_some());
+            if !give_up {
+                found = Some(self.corrected(linear, &changes, &dx, &evaluated));
+            }
+            if is_better {
+                best = Some(Box::new(Step {
+                    x,
+                    dx,
+                    trajectories,
+                    evaluated,
+                    cost,
+                }));
+            }
+            if give_up {
+                break;
+            }
+        }
+        Ok(best.map_or(Attempt::Failed, Attempt::Step))
+    }
+
+    /// What the model says of the present point, and islands that hold it.
+    fn here(&mut self) -> Result<Vec<Evaluated>, SysidError> {
+        let here = self.evaluate(&self.x, &self.trajectories)?;
+        let here = here.ok_or_else(|| SysidError::NoStep {
+            recording: (self.problem.trials.iter())
+                .map(|t| t.name.as_str())
+                .collect::<Vec<_>>()
+                .join(", "),
+            time_s: 0.0,
+        })?;
+        self.join(&here);
+        Ok(here)
+    }
+
+    /// Joins islands between which there are contacts; whether there were any that had not been known.
+    fn join(&mut self, here: &[Evaluated]) -> bool {
+        let mut any = false;
+        for (islands, evaluated) in self.islands.iter_mut().zip(here) {
+            if islands.parts.is_empty() || !evaluated.contacts.is_subset(&islands.contacts) {
+                let mut contacts = std::mem::take(&mut islands.contacts);
+                contacts.extend(&evaluated.contacts);
+                let new = Islands::new(self.problem, contacts);
+                any |= new.parts != islands.parts;
+                *islands = new;
+            }
+        }
+        any
+    }
+
+    /// What the model says of every trial; `None` where the engine takes no step.
+    fn evaluate(
         &self,
         x: &[f64],
         trajectories: &[Vec<f64>],
-        linear: &[Blocks],
-    ) -> Result<f64, SysidError> {
-        let nv = self.problem.model.nv();
-        let n_channels = self.problem.channels.len();
-        let free = self.problem.free_values(x);
-        let mut force = vec![0.0; nv];
-        let mut sum = self.prior_cost(x);
-        for (i, qpos) in trajectories.iter().enumerate() {
-            let Some(Evaluated {
-                defect, sensors, ..
-            }) = self.point(i, qpos, x).evaluate(false)?
-            else {
-                return Ok(f64::INFINITY);
-            };
-            for (k, defect) in defect.chunks_exact(nv).enumerate() {
-                linear[i].force(k, defect, &mut force);
-                for ((f, sigma), norm) in force
-                    .iter()
-                    .zip(&self.force_sigma)
-                    .zip(&self.problem.force_norm)
-                {
-                    sum += norm.cost(f / sigma);
-                }
-            }
-            for p in self.placed(i, x) {
-                let s = &self.problem.trials[i].samples[p.sample];
-                let channel = &self.problem.channels[s.channel];
-                let mut z = sensors[p.knot * n_channels + s.channel];
-                if p.part > 0.0 {
-                    z += p.part * (sensors[(p.knot + 1) * n_channels + s.channel] - z);
-                }
-                let predicted = channel.gain.value(&free) * z + channel.bias.value(&free);
-                sum += channel.norm.cost((predicted - s.value) / channel.sigma);
-            }
-        }
-        Ok(sum)
+    ) -> Result<Option<Vec<Evaluated>>, SysidError> {
+        (trajectories.iter().enumerate())
+            .map(|(i, qpos)| self.point(i, qpos, x).evaluate(false))
+            .collect()
     }
 
-    fn prior_cost(&self, x: &[f64]) -> f64 {
-        (self.problem.parameters.iter_free().zip(x))
-            .filter(|(p, _)| p.prior_sigma.is_finite())
-            .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
-            .sum()
-    }
-
-    /// All trajectories eliminated, and their cost.
-    fn eliminate_all(&self, linear: &[Blocks], damping: f64) -> (Vec<Arrow>, f64) {
-        let (arrows, costs): (Vec<_>, Vec<f64>) = (linear.par_iter().enumerate())
-            .map(|(i, blocks)| self.eliminate(i, blocks, damping))
-            .unzip();
-        (arrows, costs.iter().sum::<f64>() + self.prior_cost(&self.x))
-    }
-
-    /// The step at a damping: eliminated trajectories, and the change of the parameters within their bounds.
-    fn step(&self, linear: &[Blocks], damping: f64) -> (Vec<Arrow>, Vec<f64>, f64) {
-        let np = self.x.len();
-        let (arrows, cost) = self.eliminate_all(linear, damping);
-        let mut normal = DMatrix::zeros(np, np);
-        let mut right = DVector::zeros(np);
-        for row in arrows
-            .iter()
-            .flat_map(|a| a.innovations.chunks_exact(np + 1))
-        {
-            for i in 0..np {
-                right[i] += row[i] * row[np];
-                for j in 0..np {
-                    normal[(i, j)] += row[i] * row[j];
-                }
-            }
-        }
-        for (i, p) in self.problem.parameters.iter_free().enumerate() {
-            normal[(i, i)] += damping / p.typical.powi(2);
-            if p.prior_sigma.is_finite() {
-                normal[(i, i)] += p.prior_sigma.powi(-2);
-                right[i] -= (self.x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
-            }
-        }
-        let reach = self.problem.parameters.reach(&self.x);
-        let (low, high): (Vec<f64>, Vec<f64>) = reach
-            .map(|(l, h)| if self.hold { (0.0, 0.0) } else { (l, h) })
-            .unzip();
-        let dx = solve_in_box(&normal, &right, &low, &high);
-        (arrows, dx, cost)
-    }
-
-    fn moved(&self, arrows: &[Arrow], dx: &[f64]) -> Result<Vec<Vec<f64>>, SysidError> {
-        let model = &self.problem.model;
-        let (nq, nv) = (model.nq(), model.nv());
-        let mut out = self.trajectories.clone();
-        for (arrow, qpos) in arrows.iter().zip(&mut out) {
-            let change = arrow.back_substitute(dx);
-            for (q, d) in qpos.chunks_exact_mut(nq).zip(change.chunks_exact(nv)) {
-                if d.iter().all(|d| d.is_finite()) {
-                    model.integrate_pos(q, d, 1.0)?;
-                }
-            }
-        }
-        Ok(out)
-    }
-
-    /// The fit at the present point, undamped.
-    pub(super) fn conclude(&self, level: f64, status: Status) -> Result<Fit, SysidError> {
-        let linear = self.linearise()?;
-        let (arrows, cost) = self.eliminate_all(&linear, LEAST_DAMPING);
-        let mut innovations = Innovations {
-            n_parameters: self.x.len(),
-            ..Innovations::default()
-        };
-        let mut negative_log_evidence = cost;
-        let mut weakest = (f64::INFINITY, 0, 0, 0);
-        for (trial, arrow) in arrows.iter().enumerate() {
-            innovations.rows.extend_from_slice(&arrow.innovations);
-            innovations
-                .places
-                .extend(arrow.innovation_knots.iter().map(|&k| (trial, k)));
-            negative_log_evidence += arrow.log_diagonal() - self.log_volume(trial, &linear[trial]);
-            let (ratio, (knot, dof)) = arrow.weakest();
-            if ratio < weakest.0 {
-                weakest = (ratio, trial, knot, dof);
-            }
-        }
-        Ok(Fit {
-            x: self.x.clone(),
-            trajectories: self.trajectories.clone(),
-            cost,
-            negative_log_evidence,
-            level,
-            force_sigma: self.force_sigma.clone(),
-            status,
-            history: Vec::new(),
-            innovations,
-            weakest,
-        })
-    }
-
-    /// Σ log |det ∂ρ/∂q₊| − Σ log σ of samples.
-    fn log_volume(&self, trial: usize, linear: &Blocks) -> f64 {
-        let nv = self.problem.model.nv();
-        let whitening: f64 = self.force_sigma.iter().map(|s| s.ln()).sum();
-        let knots = 1..self.problem.trials[trial].n_knots - 1;
-        let forces: f64 = (knots.into_par_iter())
-            .map(|k| {
-                let block = DMatrix::from_fn(nv, nv, |i, j| linear.row(k, i)[2 * nv + j]);
-                let u = block.lu().u();
-                u.diagonal()
-                    .iter()
-                    .map(|d| d.abs().max(f64::MIN_POSITIVE).ln())
-                    .sum::<f64>()
-                    - whitening
+    fn linearise(&self, here: &[Evaluated], kept: Option<&Linear>) -> Result<Linear, SysidError> {
+        (self.trajectories.iter().enumerate())
+            .map(|(i, qpos)| {
+                let point = self.point(i, qpos, &self.x);
+                let kept = kept.map(|k| k[i].as_slice());
+                point.linearise(&here[i], &self.islands[i], kept)
             })
-            .collect::<Vec<f64>>()
-            .iter()
-            .sum();
-        let samples = &self.problem.trials[trial].samples;
-        let placed = self.placed(trial, &self.x);
-        let sensors = placed
-            .iter()
-            .map(|p| self.problem.channels[samples[p.sample].channel].sigma.ln());
-        forces - sensors.sum::<f64>()
+            .collect()
     }
 }

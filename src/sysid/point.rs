@@ -11,16 +11,22 @@ use rayon::prelude::*;
 use super::SysidError;
 use super::inverse::{Changed, Inverse};
 use super::problem::{Problem, Trial};
+use super::reach::Contacts;
+use crate::mujoco::Contact;
 
 /// What the model says along a trajectory.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Evaluated {
+    /// velocities and accelerations of every knot
+    pub kinematics: Vec<Kinematics>,
     /// (knots × nv) a − ā; 0 at both ends, where it is not defined
     pub defect: Vec<f64>,
     /// (knots × nv) force that a demands and nothing gives, if asked for; 0 at both ends
     pub force: Vec<f64>,
     /// (knots × channels) sensors
     pub sensors: Vec<f64>,
+    /// pairs of geoms that touch
+    pub contacts: Contacts,
 }
 
 /// A trial with a trajectory and parameters.
@@ -117,7 +123,11 @@ impl Point<'_> {
             .collect();
         let mut all = Evaluated::default();
         for part in parts {
-            let Some(part) = part? else { return Ok(None) };
+            let Some(mut part) = part? else {
+                return Ok(None);
+            };
+            all.kinematics.append(&mut part.kinematics);
+            all.contacts.append(&mut part.contacts);
             all.defect.extend_from_slice(&part.defect);
             all.force.extend_from_slice(&part.force);
             all.sensors.extend_from_slice(&part.sensors);
@@ -134,12 +144,13 @@ impl Point<'_> {
         let nv = self.problem.model.nv();
         let mut inverse = self.inverse()?;
         let mut out = Evaluated::default();
-        let mut at = Kinematics::new(nv);
         let mut sensors = vec![0.0; self.problem.channels.len()];
         for k in range {
+            let mut at = Kinematics::new(nv);
             if !self.kinematics(&mut inverse, controls, k, &mut at)? {
                 return Ok(None);
             }
+            (out.contacts).extend(inverse.data().contacts().iter().map(Contact::geoms));
             read_channels(self.problem, &inverse, &mut sensors);
             out.sensors.extend_from_slice(&sensors);
             let defined = if self.is_end(k) { 0.0 } else { 1.0 };
@@ -155,6 +166,7 @@ impl Point<'_> {
                 out.force
                     .extend(inverse.residual().iter().map(|f| defined * f));
             }
+            out.kinematics.push(at);
         }
         Ok(Some(out))
     }

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::SysidError;
 use super::fit::Fit;
+use super::islands::Islands;
 use super::newton::Solver;
 use super::problem::Problem;
 use crate::mujoco::{Model, ObjectKind};
@@ -74,10 +75,17 @@ pub fn explain(
     (problem.trials.iter().enumerate())
         .map(|(i, trial)| {
             let evaluated = solver.point(i, &trajectories[i], x).evaluate(true)?;
-            let evaluated = evaluated.ok_or_else(|| SysidError::NoStep {
+            let mut evaluated = evaluated.ok_or_else(|| SysidError::NoStep {
                 recording: trial.name.clone(),
                 time_s: 0.0,
             })?;
+            // what is idle was measured, not estimated: its forces would be those of noise
+            let idle = Islands::new(problem, std::mem::take(&mut evaluated.contacts)).idle;
+            for row in evaluated.force.chunks_exact_mut(problem.model.nv().max(1)) {
+                for d in &idle {
+                    row[*d] = 0.0;
+                }
+            }
             let mut channels = vec![Predicted::default(); n_channels];
             let mut placed = solver.placed(i, x);
             placed.sort_by_key(|p| p.sample);

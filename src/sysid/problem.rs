@@ -139,6 +139,9 @@ pub struct Sample {
     pub time: f64,
     /// measured
     pub value: f64,
+    /// factor on the standard deviation of its channel: √n in a run of n equal readings, whose error is one and the same.
+    /// Many readings of a counter at rest tell no more than one
+    pub spread: f64,
 }
 
 /// A recording on the grid of the model's time step.

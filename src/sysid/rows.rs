@@ -1,6 +1,7 @@
 //! Whitened rows of the linearised problem, knot by knot, into the elimination.
 
 use super::arrow::Arrow;
+use super::islands::Island;
 use super::linearise::Blocks;
 use super::newton::Solver;
 use super::problem::{Setting, Stage};
@@ -48,48 +49,57 @@ impl Solver<'_> {
         placed
     }
 
-    /// A trajectory eliminated, and the cost of its residuals.
-    pub(super) fn eliminate(&self, trial: usize, blocks: &Blocks, damping: f64) -> (Arrow, f64) {
-        let (nv, np) = (self.problem.model.nv(), self.x.len());
+    /// A part of a trajectory eliminated, with `found` (knots × degrees of freedom) in place of the values of forces.
+    pub(super) fn eliminate(
+        &self,
+        trial: usize,
+        island: &Island,
+        blocks: &Blocks,
+        placed: &[Placed],
+        damping: f64,
+        found: Option<&[f64]>,
+    ) -> Arrow {
+        let (nv, np) = (island.dofs.len(), island.parameters.len());
         let free = self.problem.free_values(&self.x);
-        let placed = self.placed(trial, &self.x);
         let trial = &self.problem.trials[trial];
         let h = self.problem.model.timestep();
-        let width = 3 * nv + np + 1;
+        let width = island.width();
         let resist = damping.sqrt() / TYPICAL_POSITION;
+        let mut row_of = vec![None; self.problem.channels.len()];
+        for (i, c) in island.channels.iter().enumerate() {
+            row_of[*c] = Some(nv + i);
+        }
         let mut arrow = Arrow::new(nv, np);
-        let (mut cost, mut next) = (0.0, 0);
+        let mut next = 0;
         for k in 0..trial.n_knots {
             if k > 0 && k + 1 < trial.n_knots {
-                for (i, (sigma, norm)) in self
-                    .force_sigma
-                    .iter()
-                    .zip(&self.problem.force_norm)
-                    .enumerate()
-                {
+                for (i, dof) in island.dofs.iter().enumerate() {
+                    let (sigma, norm) = (self.force_sigma[*dof], self.problem.force_norm[*dof]);
                     let source = blocks.row(k, i);
-                    let r = source[width - 1] / sigma;
-                    cost += norm.cost(r);
-                    let factor = norm.weight(r).sqrt() / sigma;
+                    let value = found.map_or(source[width - 1], |f| f[k * nv + i]);
+                    let factor = norm.weight(value / sigma).sqrt() / sigma;
                     let row = arrow.row();
                     for (row, s) in row.iter_mut().zip(source) {
                         *row = factor * s;
                     }
-                    row[width - 1] = -row[width - 1];
+                    row[width - 1] = -factor * value;
                 }
             }
             while next < placed.len() && placed[next].knot == k {
                 let Placed { part, sample, .. } = placed[next];
                 next += 1;
                 let s = &trial.samples[sample];
+                let Some(source) = row_of[s.channel] else {
+                    continue;
+                };
                 let channel = &self.problem.channels[s.channel];
                 let (gain, bias) = (channel.gain.value(&free), channel.bias.value(&free));
-                let here = blocks.row(k, nv + s.channel);
+                let here = blocks.row(k, source);
                 let row = arrow.row();
                 row.copy_from_slice(here);
                 let mut slope = 0.0;
                 if part > 0.0 {
-                    let there = blocks.row(k + 1, nv + s.channel);
+                    let there = blocks.row(k + 1, source);
                     slope = (there[width - 1] - here[width - 1]) / h;
                     for v in row.iter_mut() {
                         *v *= 1.0 - part;
@@ -102,12 +112,12 @@ impl Solver<'_> {
                         *v += part * t;
                     }
                 } else if k + 1 < trial.n_knots && channel.stage != Stage::Acceleration {
-                    slope = (blocks.row(k + 1, nv + s.channel)[width - 1] - here[width - 1]) / h;
+                    slope = (blocks.row(k + 1, source)[width - 1] - here[width - 1]) / h;
                 }
                 let z = row[width - 1];
-                let r = (gain * z + bias - s.value) / channel.sigma;
-                cost += channel.norm.cost(r);
-                let factor = channel.norm.weight(r).sqrt() / channel.sigma;
+                let sigma = channel.sigma * s.spread;
+                let r = (gain * z + bias - s.value) / sigma;
+                let factor = channel.norm.weight(r).sqrt() / sigma;
                 for v in row.iter_mut() {
                     *v *= factor * gain;
                 }
@@ -117,8 +127,12 @@ impl Solver<'_> {
                     (channel.delay, -gain * slope),
                 ] {
                     if let Setting::Free(j) = setting {
-                        let by_x = self.problem.parameters.slope(j, free[j]);
-                        row[3 * nv + j] += factor * derivative * by_x;
+                        // whoever has the channel has its parameters
+                        let own = island.parameters.iter().position(|p| *p == j);
+                        if let Some(own) = own {
+                            row[3 * nv + own] +=
+                                factor * derivative * self.problem.parameters.slope(j, free[j]);
+                        }
                     }
                 }
                 row[width - 1] = -factor * (gain * z + bias - s.value);
@@ -130,6 +144,6 @@ impl Solver<'_> {
             arrow.close(k);
         }
         arrow.finish(trial.n_knots);
-        (arrow, cost)
+        arrow
     }
 }

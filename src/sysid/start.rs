@@ -9,10 +9,11 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::SysidError;
+use super::islands::Islands;
 use super::pose::Pose;
 use super::problem::{Problem, Stage, Trial};
 use super::smooth::smooth;
-use crate::mujoco::{Data, Model};
+use crate::mujoco::{Contact, Data, Model};
 
 /// Positions of all knots (`n_knots` × nq).
 pub(crate) fn trajectory(
@@ -68,25 +69,29 @@ pub(crate) fn trajectory(
     Ok(all)
 }
 
-/// Part of the knots of all trials at which bodies touch.
+/// Part of the knots of all trials at which bodies touch on which parameters act.
 pub(super) fn contact(
     problem: &Problem,
     x: &[f64],
     trajectories: &[Vec<f64>],
 ) -> Result<f64, SysidError> {
-    let mut data = Data::new(Arc::clone(&problem.model))?;
-    problem.parameters.apply(&problem.model, x, &mut data)?;
-    let (mut touching, mut n) = (0_u32, 0_u32);
-    for qpos in trajectories
-        .iter()
-        .flat_map(|q| q.chunks_exact(problem.model.nq()))
-    {
-        data.qpos_mut().copy_from_slice(qpos);
-        data.position_stage()?;
-        touching += u32::from(data.ncon() > 0);
-        n += 1;
+    let model = &problem.model;
+    let mut data = Data::new(Arc::clone(model))?;
+    problem.parameters.apply(model, x, &mut data)?;
+    let (mut touching, mut n) = (0, 0);
+    for trajectory in trajectories {
+        let mut found: Vec<Vec<[usize; 2]>> = Vec::new();
+        for qpos in trajectory.chunks_exact(model.nq()) {
+            data.qpos_mut().copy_from_slice(qpos);
+            data.position_stage()?;
+            found.push(data.contacts().iter().map(Contact::geoms).collect());
+        }
+        let islands = Islands::new(problem, found.iter().flatten().copied().collect());
+        let matter = |pairs: &&Vec<[usize; 2]>| pairs.iter().any(|p| islands.matters(model, *p));
+        touching += found.iter().filter(matter).count();
+        n += found.len();
     }
-    Ok(f64::from(touching) / f64::from(n.max(1)))
+    Ok(touching as f64 / n.max(1) as f64)
 }
 
 /// How fast errors of a first position may change, 1/s: what its velocity is not known by.

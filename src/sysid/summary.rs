@@ -192,7 +192,7 @@ fn correlation(problem: &Problem, posterior: &Posterior) -> Correlation {
 impl Summary {
     /// Whether the answer is yes: the solver converged, and no held-out recording speaks against the model.
     pub fn is_good(&self) -> bool {
-        let converged = matches!(self.status, Status::Converged);
+        let converged = self.status.is_converged();
         converged
             && self
                 .holdout

@@ -152,10 +152,11 @@ pub(super) fn trial(
     }
     let mut all: Vec<Sample> = (series.iter())
         .flat_map(|(channel, values)| {
-            values.iter().map(|&(time, value)| Sample {
+            (values.iter().zip(spreads(values))).map(|(&(time, value), spread)| Sample {
                 channel: *channel,
                 time: time - start,
                 value,
+                spread,
             })
         })
         .filter(|s| s.time > -1e-9)
@@ -169,6 +170,14 @@ pub(super) fn trial(
         samples: all,
         recording: Arc::new(recording.clone()),
     })
+}
+
+/// √n for every reading in a run of n equal ones.
+fn spreads(values: &[(f64, f64)]) -> Vec<f64> {
+    values
+        .chunk_by(|a, b| a.1 == b.1)
+        .flat_map(|run| vec![(run.len() as f64).sqrt(); run.len()])
+        .collect()
 }
 
 /// Times and numbers of a channel, rows without a number left out.

@@ -5,6 +5,7 @@
     reason = "the long suites print what docs/sysid.md quotes"
 )]
 
+mod apart;
 #[path = "../common/mod.rs"]
 mod common;
 mod coverage;

@@ -1,0 +1,205 @@
+//! Parts of a model that nothing connects in a trial.
+//!
+//! Trees that no contact, tendon, equality, actuator or sensor joins have residuals of their own: the trajectory's
+//! band falls into blocks, each with the parameters that reach it. Each is eliminated apart, which costs (Σ nᵢ)³ less
+//! than one of n = Σ nᵢ; and in finite differences columns of different parts are changed at once, as in colouring a
+//! sparse Jacobian. Parts that no parameter reaches are idle: an object at rest beside the machine tells nothing, and is
+//! left where it was measured.
+//!
+//! Reference: Curtis, Powell and Reid 1974, "On the estimation of sparse Jacobian matrices".
+
+use std::collections::BTreeSet;
+
+use super::manifold;
+use super::parameter::{Instrument, Role};
+use super::problem::Problem;
+use super::reach::{Contacts, Reach, Trees};
+use crate::mjcf::glob;
+use crate::mujoco::{Model, ObjectKind};
+
+/// One part.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Island {
+    /// degrees of freedom, rising
+    pub dofs: Vec<usize>,
+    /// channels that depend on them
+    pub channels: Vec<usize>,
+    /// free parameters that reach them
+    pub parameters: Vec<usize>,
+    /// places in `dofs` at which the rotation of a ball or free joint begins
+    pub rotations: Vec<usize>,
+}
+
+impl Island {
+    /// Columns of a row: q₋, q, q₊, x, value.
+    pub(super) fn width(&self) -> usize {
+        3 * self.dofs.len() + self.parameters.len() + 1
+    }
+
+    /// Forces, then channels.
+    pub(super) fn n_rows(&self) -> usize {
+        self.dofs.len() + self.channels.len()
+    }
+}
+
+/// The parts of one trial.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Islands {
+    /// those that parameters reach; all, if none is
+    pub parts: Vec<Island>,
+    /// degrees of freedom of the others
+    pub idle: Vec<usize>,
+    /// free parameters in groups that no part shares
+    pub colours: Vec<Vec<usize>>,
+    /// pairs of geoms that touch somewhere
+    pub contacts: Contacts,
+}
+
+impl Islands {
+    /// Where `contacts` are all pairs of geoms that touch.
+    pub(super) fn new(problem: &Problem, contacts: Contacts) -> Self {
+        let model = &*problem.model;
+        let reach = Reach::new(model, &contacts);
+        let channels: Vec<Trees> = (problem.channels.iter())
+            .map(|c| channel(model, &reach, c.source))
+            .collect();
+        let island_of = joined(reach.len(), reach.tied().iter().chain(&channels));
+        let of_trees =
+            |trees: &Trees| -> BTreeSet<usize> { trees.iter().map(|t| island_of[*t]).collect() };
+        let parameters: Vec<BTreeSet<usize>> = (problem.parameters.all.iter())
+            .map(|p| of_trees(&reached(problem, &reach, &channels, &p.role)))
+            .collect();
+        let some: BTreeSet<usize> = parameters.iter().flatten().copied().collect();
+        let is_idle = |island: usize| !some.is_empty() && !some.contains(&island);
+
+        let mut parts = Vec::new();
+        let mut idle = Vec::new();
+        let names: BTreeSet<usize> = island_of.iter().copied().collect();
+        for &name in &names {
+            let dofs: Vec<usize> = (0..model.nv())
+                .filter(|d| island_of[reach.of_dof(*d)] == name)
+                .collect();
+            if is_idle(name) {
+                idle.extend(dofs);
+                continue;
+            }
+            let own = |trees: &Trees| trees.first().is_some_and(|t| island_of[*t] == name);
+            let free = problem.parameters.free.iter().enumerate();
+            let rotations = manifold::rotations(model);
+            parts.push(Island {
+                channels: (0..channels.len()).filter(|c| own(&channels[*c])).collect(),
+                parameters: free
+                    .filter(|(_, i)| parameters[**i].contains(&name))
+                    .map(|(j, _)| j)
+                    .collect(),
+                rotations: (rotations.iter())
+                    .filter_map(|r| dofs.iter().position(|d| d == r))
+                    .collect(),
+                dofs,
+            });
+        }
+        idle.sort_unstable();
+        Self {
+            colours: colours(problem, &parts),
+            parts,
+            idle,
+            contacts,
+        }
+    }
+
+    /// Whether bodies of which parameters say something touch.
+    pub(super) fn matters(&self, model: &Model, geoms: [usize; 2]) -> bool {
+        geoms.iter().any(|g| {
+            let body = model.geom_bodyid()[*g] as usize;
+            let mut at = body;
+            while at > 0 && model.body_dofnum()[at] == 0 {
+                at = model.body_parentid()[at] as usize;
+            }
+            at > 0 && !self.idle.contains(&(model.body_dofadr()[at] as usize))
+        })
+    }
+}
+
+/// Which island each of `n` trees belongs to, where each set of `ties` joins its members.
+fn joined<'a>(n: usize, ties: impl Iterator<Item = &'a Trees>) -> Vec<usize> {
+    let mut of: Vec<usize> = (0..n).collect();
+    for tie in ties {
+        let Some(into) = tie.iter().map(|t| of[*t]).min() else {
+            continue;
+        };
+        let from: BTreeSet<usize> = tie.iter().map(|t| of[*t]).collect();
+        for island in &mut of {
+            if from.contains(island) {
+                *island = into;
+            }
+        }
+    }
+    of
+}
+
+/// Trees on which number `source` of (sensordata, qpos, qvel) depends.
+fn channel(model: &Model, reach: &Reach, source: usize) -> Trees {
+    let (n_sensordata, nq) = (model.nsensordata(), model.nq());
+    // the last element that begins at or before a number
+    let owner = |starts: &[i32], at: usize| {
+        starts
+            .iter()
+            .rposition(|s| *s as usize <= at)
+            .unwrap_or_default()
+    };
+    let dof = if source < n_sensordata {
+        return reach.sensor(owner(model.sensor_adr(), source));
+    } else if source < n_sensordata + nq {
+        let joint = owner(model.jnt_qposadr(), source - n_sensordata);
+        model.jnt_dofadr()[joint] as usize
+    } else {
+        source - n_sensordata - nq
+    };
+    Trees::from([reach.of_dof(dof)])
+}
+
+/// Trees that a parameter acts upon.
+fn reached(problem: &Problem, reach: &Reach, channels: &[Trees], role: &Role) -> Trees {
+    match role {
+        Role::Model(targets) => targets.iter().flat_map(|(t, _)| reach.target(t)).collect(),
+        Role::Instrument(Instrument::CommandDelay, pattern) => (0..problem.model.nu())
+            .filter(|a| {
+                let name = problem.model.name(ObjectKind::Actuator, *a);
+                glob::matches(pattern, name.unwrap_or_default())
+            })
+            .flat_map(|a| reach.actuator(a))
+            .collect(),
+        Role::Instrument(_, pattern) => (problem.channels.iter().zip(channels))
+            .filter(|(c, _)| glob::matches(pattern, &c.name))
+            .flat_map(|(_, trees)| trees.iter().copied())
+            .collect(),
+    }
+}
+
+/// Groups of parameters of which no part has two; what changes nothing in the engine is in none.
+fn colours(problem: &Problem, parts: &[Island]) -> Vec<Vec<usize>> {
+    let mut groups: Vec<(Vec<usize>, BTreeSet<usize>)> = Vec::new();
+    for (j, p) in problem.parameters.iter_free().enumerate() {
+        let acts = matches!(
+            p.role,
+            Role::Model(_) | Role::Instrument(Instrument::CommandDelay, _)
+        );
+        if !acts {
+            continue;
+        }
+        let touched: BTreeSet<usize> = (0..parts.len())
+            .filter(|i| parts[*i].parameters.contains(&j))
+            .collect();
+        if touched.is_empty() {
+            continue;
+        }
+        match groups.iter_mut().find(|(_, t)| t.is_disjoint(&touched)) {
+            Some((group, t)) => {
+                group.push(j);
+                t.extend(touched);
+            }
+            None => groups.push((vec![j], touched)),
+        }
+    }
+    groups.into_iter().map(|(group, _)| group).collect()
+}
