@@ -18,10 +18,13 @@ use super::linearise::Blocks;
 use super::point::{Evaluated, Point};
 use super::problem::Problem;
 use super::step::Forces;
+use crate::mjcf::attribute::Target;
 
 const FIRST_DAMPING: f64 = 1e-3;
 pub(super) const LEAST_DAMPING: f64 = 1e-9;
 const MOST_DAMPING: f64 = 1e8;
+/// Cost by the forces where a step ends, over that where it began, up to which it is taken where there is dry friction.
+const GROWTH: f64 = 1.5;
 /// Fall of the cost over the one foreseen below which a step is corrected.
 const POOR: f64 = 0.5;
 /// Most corrections of a step.
@@ -140,64 +143,106 @@ impl<'a> Solver<'a> {
         watch: &mut dyn FnMut(&Iteration) -> bool,
     ) -> Result<Status, SysidError> {
         let mut before = self.cost(&self.x, &state.here, &state.linear);
-        let mut small = 0;
-        for _ in 0..goal.limit {
+        let keeps = !self.is_dry();
+        let (mut small, mut n) = (0, 0);
+        while n < goal.limit {
             let slack = goal.tolerance * before + goal.slack;
             let mut attempt = self.attempt(&state.linear, before, slack)?;
             while matches!(attempt, Attempt::Failed) && self.damping <= MOST_DAMPING {
-                self.damping *= if self.damping < 1e-6 { 1e3 } else { 10.0 };
+                self.raise_damping();
                 attempt = self.attempt(&state.linear, before, slack)?;
             }
             let step = match attempt {
                 Attempt::Step(step) => step,
                 Attempt::Settled | Attempt::Failed if goal.is_exact && state.is_metric_old => {
                     before = self.renew(state)?;
+                    n += 1;
                     continue;
                 }
                 Attempt::Settled => return Ok(Status::Converged),
-                Attempt::Failed => {
-                    self.damping = FIRST_DAMPING;
-                    return Ok(if small > 0 {
-                        Status::Converged
-                    } else {
-                        self.at_a_kink(&state.linear)
-                    });
-                }
+                Attempt::Failed => return Ok(self.ended(small > 0, &state.linear)),
             };
+            let largest = step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
+            let mut cost = step.cost;
+            let x = std::mem::replace(&mut self.x, step.x);
+            let trajectories = std::mem::replace(&mut self.trajectories, step.trajectories);
+            let here = std::mem::replace(&mut state.here, step.evaluated);
+            let is_joined = self.join(&state.here);
+            if !keeps {
+                // where things stick and slip, what a force is changes along the way
+                let linear = std::mem::take(&mut state.linear);
+                match self.renew(state) {
+                    Ok(there) if is_joined || there <= GROWTH * before => cost = there,
+                    _ => {
+                        (self.x, self.trajectories, state.here) = (x, trajectories, here);
+                        state.linear = linear;
+                        if self.damping > MOST_DAMPING {
+                            return Ok(self.ended(small > 0, &state.linear));
+                        }
+                        self.raise_damping();
+                        continue;
+                    }
+                }
+            }
+            n += 1;
             let record = Iteration {
                 level,
-                cost: step.cost,
+                cost,
                 damping: self.damping,
-                step: step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs())),
-                x: step.x.clone(),
+                step: largest,
+                x: self.x.clone(),
             };
             // twice in a row, as one small step may be the damping's doing
-            small = if before - step.cost < slack {
-                small + 1
-            } else {
-                0
-            };
-            (self.x, self.trajectories, state.here) = (step.x, step.trajectories, step.evaluated);
+            small = if before - cost < slack { small + 1 } else { 0 };
+            let is_done = small >= 2 || cost < 1e-20;
             self.damping = (self.damping * 0.1).max(LEAST_DAMPING);
             let go_on = watch(&record);
-            let is_joined = self.join(&state.here);
-            let is_done = small >= 2 || step.cost < 1e-20;
-            if is_joined || (is_done && goal.is_exact && state.is_metric_old) {
-                before = self.renew(state)?;
-                small = small.min(1);
-            } else {
-                state.linear = self.linearise(&state.here, Some(&state.linear))?;
-                state.is_metric_old = true;
-                before = step.cost;
-                if is_done {
-                    return Ok(Status::Converged);
+            before = cost;
+            if keeps {
+                if is_joined || (is_done && goal.is_exact && state.is_metric_old) {
+                    before = self.renew(state)?;
+                    small = small.min(1);
+                } else {
+                    state.linear = self.linearise(&state.here, Some(&state.linear))?;
+                    state.is_metric_old = true;
                 }
             }
             if !go_on {
                 return Ok(Status::Interrupted);
             }
+            if is_done && !(goal.is_exact && keeps && !state.is_metric_old) {
+                return Ok(Status::Converged);
+            }
         }
         Ok(Status::MaxIterations)
+    }
+
+    fn raise_damping(&mut self) {
+        self.damping *= if self.damping < 1e-6 { 1e3 } else { 10.0 };
+    }
+
+    /// Whether there is dry friction. Its A is that of sticking or of slipping, and cannot be kept.
+    fn is_dry(&self) -> bool {
+        let model = &self.problem.model;
+        let losses = (model.dof_frictionloss().iter()).chain(model.tendon_frictionloss());
+        let is_loss = |t: &Target| t.attribute.name == "frictionloss";
+        losses.copied().any(|f| f > 0.0)
+            || self
+                .problem
+                .parameters
+                .targets()
+                .iter()
+                .any(|t| is_loss(t))
+    }
+
+    /// Why a descent ends where no step lowers the cost.
+    fn ended(&mut self, was_small: bool, linear: &Linear) -> Status {
+        self.damping = FIRST_DAMPING;
+        if was_small {
+            Status::Converged
+        } else {
+            self.at_a_kink(linear)
+        }
     }
 
     /// The linearisation of the present point, forces measured as they are there.
