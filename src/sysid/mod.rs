@@ -57,14 +57,9 @@ mod rows;
 mod separate;
 pub mod shooting;
 mod smooth;
-<<<<<<< HEAD
 pub(crate) mod start;
-pub(crate) mod student;
-=======
-mod start;
 mod step;
-mod student;
->>>>>>> 537c44e (Identify parts that nothing connects apart)
+pub(crate) mod student;
 pub mod summary;
 mod track;
 mod trial;

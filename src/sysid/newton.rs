@@ -227,12 +227,7 @@ impl<'a> Solver<'a> {
         let losses = (model.dof_frictionloss().iter()).chain(model.tendon_frictionloss());
         let is_loss = |t: &Target| t.attribute.name == "frictionloss";
         losses.copied().any(|f| f > 0.0)
-            || self
-                .problem
-                .parameters
-                .targets()
-                .iter()
-                .any(|t| is_loss(t))
+            || self.problem.parameters.targets().iter().any(|t| is_loss(t))
     }
 
     /// Why a descent ends where no step lowers the cost.
