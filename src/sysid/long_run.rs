@@ -116,7 +116,9 @@ impl Rows<'_> {
                     .into(),
             )
         };
-        let mut used = n.min(LEAST as usize);
+        // sums over whole trials have no lower ones
+        let whole = ordinates.iter().filter(|o| o.frequency == 0.0).count();
+        let mut used = n.min(whole.max(LEAST as usize));
         while used < n && pool(0..used).dof < LEAST {
             used += 1;
         }
@@ -357,5 +359,17 @@ mod tests {
     #[test]
     fn the_mean_of_a_constant_is_exact() {
         assert_eq!(mean(&[vec![2.0; 30], vec![2.0; 10]]), (2.0, 0.0));
+    }
+
+    #[test]
+    fn many_short_trials_are_averaged_over_all_of_them() {
+        let n = 240;
+        for seed in 0..5 {
+            let mut rng = rng::stream(seed, Purpose::SensorNoise, 0, 0);
+            let series: Vec<Vec<f64>> = (0..n).map(|_| vec![rng::normal(&mut rng)]).collect();
+            let (_, sigma) = mean(&series);
+            let expected = 1.0 / f64::from(n).sqrt();
+            assert!((sigma / expected - 1.0).abs() < 0.15, "{sigma} {expected}");
+        }
     }
 }
