@@ -154,6 +154,17 @@ impl Target {
         };
         format!("{}/{element} {}{component}", attribute.kind, attribute.name)
     }
+
+    /// Its unit; of an attribute that hinges have in one and slides in another, the joint's.
+    pub fn unit(&self, model: &Model) -> &'static str {
+        let both = self.attribute.unit;
+        let of_joint = (self.attribute.kind == "joint").then(|| model.is_slide(self.id));
+        match (both.split_once(" or "), of_joint.flatten()) {
+            (Some((_, slide)), Some(true)) => slide,
+            (Some((hinge, _)), Some(false)) => hinge,
+            _ => both,
+        }
+    }
 }
 
 /// The kind of model object behind the first word of an address.

@@ -52,6 +52,9 @@ pub fn sentences(summary: &Summary) -> Vec<String> {
         Status::Interrupted => format!("Interrupted after {last} iterations; best so far."),
     }];
     lines.push(match &summary.holdout {
+        None if summary.status == Status::Interrupted => {
+            "Not tested: it was interrupted before held-out recordings had their turn.".to_owned()
+        }
         None => "Not tested: no held-out recordings (--holdout), so nothing shows that the identified model is \
                  better than the nominal one."
             .to_owned(),
@@ -127,6 +130,7 @@ pub fn parameter_table(parameters: &[Estimate]) -> Table {
             "parameter",
             "nominal",
             "identified",
+            "change",
             "95 % from",
             "to",
             "spread",
@@ -155,6 +159,7 @@ pub fn parameter_table(parameters: &[Estimate]) -> Table {
             p.name.clone(),
             number(p.nominal),
             number(p.value),
+            change(p.nominal, p.value),
             low,
             high,
             spread,
@@ -163,6 +168,19 @@ pub fn parameter_table(parameters: &[Estimate]) -> Table {
         ]);
     }
     table
+}
+
+/// Change of a value, relative to what it was.
+fn change(from: f64, to: f64) -> String {
+    if from == 0.0 || from == to {
+        return String::new();
+    }
+    let percent = 100.0 * (to - from) / from.abs();
+    match percent.abs() {
+        p if p >= 1000.0 => format!("× {}", number(to / from)),
+        p if p >= 10.0 => format!("{percent:+.0} %"),
+        _ => format!("{percent:+.1} %"),
+    }
 }
 
 fn parameters(summary: &Summary) -> Section {

@@ -203,7 +203,7 @@ fn residual(
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Option<(Residual, KnotCosts)>, SysidError> {
     problem.force_sigma.clone_from(&fit.force_sigma);
-    let method = method.as_strict_as(fit, true);
+    let method = method.as_strict_as(fit, true).of_motion();
     let start = Start {
         x: Vec::new(),
         trajectories: None,

@@ -8,6 +8,9 @@ use super::problem::Problem;
 use super::rollouts::{self, RolloutSettings};
 use super::shooting::{self, ShootingSettings};
 
+/// Relative decrease of the cost below which windows of which only the first states are unknown have converged.
+const MOTION_TOLERANCE: f64 = 1e-4;
+
 /// How to solve a problem.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Method {
@@ -64,6 +67,17 @@ impl Method {
                 })
             }
             Self::Shooting(_) | Self::Rollout(_) => self.clone(),
+        }
+    }
+
+    /// The same where only the motion is unknown, to the precision that costs are compared with.
+    pub(super) fn of_motion(self) -> Self {
+        match self {
+            Self::Shooting(settings) => Self::Shooting(ShootingSettings {
+                tolerance: settings.tolerance.max(MOTION_TOLERANCE),
+                ..settings
+            }),
+            other => other,
         }
     }
 

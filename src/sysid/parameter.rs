@@ -198,7 +198,7 @@ impl Parameters {
                 _ => model_groups(model, rule)?,
             };
             for (name, role, nominal) in groups {
-                let parameter = parameter(rule, name, role, nominal)?;
+                let parameter = parameter(model, rule, name, role, nominal)?;
                 if let Some(twin) = all.iter().find(|p| overlaps(p, &parameter)) {
                     return Err(refuse(rule, format!("is already set by `{}`", twin.name)));
                 }
@@ -439,6 +439,7 @@ fn overlaps(a: &Parameter, b: &Parameter) -> bool {
 }
 
 fn parameter(
+    model: &Model,
     rule: &ParameterRule,
     name: String,
     role: Role,
@@ -447,7 +448,7 @@ fn parameter(
     let (positive, typical, unit) = match &role {
         Role::Model(targets) => {
             let a = targets[0].0.attribute;
-            (a.positive, a.typical, a.unit)
+            (a.positive, a.typical, targets[0].0.unit(model))
         }
         Role::Instrument(Instrument::Bias, _) => (false, 1e-3, ""),
         Role::Instrument(Instrument::Gain, _) => (true, 1e-2, "1"),

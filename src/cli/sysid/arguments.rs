@@ -59,7 +59,7 @@ pub(super) struct FitArgs {
     /// How to solve: by inverse dynamics, by simulating windows, or by searching for the best rollouts
     #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,
-    /// Length of a window of shooting, s; `inf` for whole recordings [default: 0.5]
+    /// Length of a window of shooting, s, no more than a recording; `inf` for whole recordings [default: 0.5]
     #[arg(long, value_name = "S")]
     window: Option<f64>,
     /// Velocity by which the motion may jump from window to window, m/s or rad/s [default: by any]

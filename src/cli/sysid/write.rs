@@ -86,9 +86,12 @@ impl Folder {
         );
         self.ensemble(args, problem, &draws)?;
         let title = format!(
-            "{} identified from {} recordings",
+            "{} identified from {}",
             self.model_file.display(),
-            problem.trials.len()
+            match problem.trials.as_slice() {
+                [one] => one.name.clone(),
+                all => format!("{} recordings", all.len()),
+            }
         );
         let page = figures::report(&title, problem, outcome, summary);
         let report = self.path.join("report.html");

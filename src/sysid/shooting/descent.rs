@@ -11,14 +11,14 @@ use super::window::{Placed, State, Window, place};
 use crate::sysid::SysidError;
 use crate::sysid::arrow::Arrow;
 use crate::sysid::box_qp::solve_in_box;
-use crate::sysid::fit::{Fit, Innovations, Iteration, Status};
+use crate::sysid::fit::{Iteration, Status};
 use crate::sysid::parameter::{Parameter, Scale};
 use crate::sysid::problem::Problem;
 
 const FIRST_DAMPING: f64 = 1e-3;
 /// Where something else than the user says where to begin.
 const NEAR_DAMPING: f64 = 1e-6;
-const LEAST_DAMPING: f64 = 1e-10;
+pub(super) const LEAST_DAMPING: f64 = 1e-10;
 const MOST_DAMPING: f64 = 1e6;
 /// Fall of the cost that is not worth a step: what moves an estimate by a thousandth of its standard deviation.
 const LEAST_FALL: f64 = 1e-6;
@@ -35,17 +35,19 @@ const LEAST_SENSITIVITY: f64 = 1e-6;
 
 /// The present point of the search.
 pub(super) struct Descent<'a> {
-    problem: &'a Problem,
+    pub(super) problem: &'a Problem,
     settings: &'a ShootingSettings,
     pool: &'a Pool,
-    windows: Vec<Window>,
-    placed: Vec<Vec<Placed>>,
-    x: Vec<f64>,
+    pub(super) windows: Vec<Window>,
+    pub(super) placed: Vec<Vec<Placed>>,
+    pub(super) x: Vec<f64>,
     states: Vec<State>,
-    simulated: Vec<Simulated>,
+    pub(super) simulated: Vec<Simulated>,
     linear: Option<Linear>,
     damping: f64,
-    history: Vec<Iteration>,
+    /// fall of the cost that the linearised problem promises from here
+    foreseen: f64,
+    pub(super) history: Vec<Iteration>,
 }
 
 /// Derivatives of all windows, and where they were taken.
@@ -124,6 +126,7 @@ impl<'a> Descent<'a> {
             simulated: Vec::new(),
             linear: None,
             damping: FIRST_DAMPING,
+            foreseen: f64::INFINITY,
             history: Vec::new(),
         };
         let simulated = descent.point(&descent.x, &descent.states).simulate()?;
@@ -157,7 +160,7 @@ impl<'a> Descent<'a> {
             let cost = self.cost()?;
             let rows = self.rows()?;
             let Some(taken) = self.search(&rows, cost)? else {
-                status = if small > 0 {
+                status = if small > 0 || self.foreseen < LEAST_FALL {
                     Status::Converged
                 } else {
                     Status::Stalled
@@ -210,11 +213,11 @@ impl<'a> Descent<'a> {
     }
 
     /// Unknowns of a window's first state.
-    fn n_state(&self) -> usize {
+    pub(super) fn n_state(&self) -> usize {
         self.point(&self.x, &self.states).n_state()
     }
 
-    fn cost(&self) -> Result<f64, SysidError> {
+    pub(super) fn cost(&self) -> Result<f64, SysidError> {
         let point = self.point(&self.x, &self.states);
         let mut sum = self.prior_cost(&self.x);
         for (w, simulated) in self.simulated.iter().enumerate() {
@@ -224,7 +227,7 @@ impl<'a> Descent<'a> {
     }
 
     /// The linearised problem, window by window.
-    fn rows(&mut self) -> Result<Vec<Rows>, SysidError> {
+    pub(super) fn rows(&mut self) -> Result<Vec<Rows>, SysidError> {
         let point = self.point(&self.x, &self.states);
         let linear = match &self.linear {
             Some(linear) if self.is_near(linear) => None,
@@ -258,15 +261,20 @@ impl<'a> Descent<'a> {
 
     /// More and more damping until the true cost falls; `None` where none makes it fall.
     fn search(&mut self, rows: &[Rows], cost: f64) -> Result<Option<Taken>, SysidError> {
+        self.foreseen = f64::INFINITY;
         while self.damping <= MOST_DAMPING {
             let arrows = self.eliminate(rows, self.damping);
             let dx = self.parameter_step(&arrows);
             let length = dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
             let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
             let changes = changes(&arrows, &dx);
+            let expected = self.expected(rows, &changes, &dx);
+            // more damping would hide what there is to gain
+            if self.foreseen.is_infinite() && self.damping <= FIRST_DAMPING {
+                self.foreseen = expected;
+            }
             let best = self.best(&x, &changes)?;
             if let Some(taken) = best.filter(|taken| taken.cost <= cost) {
-                let expected = self.expected(rows, &changes, &dx);
                 return Ok(Some(Taken {
                     length,
                     expected,
@@ -348,7 +356,7 @@ impl<'a> Descent<'a> {
     }
 
     /// States of every trial eliminated, each damped in proportion to what its samples say about it.
-    fn eliminate(&self, rows: &[Rows], damping: f64) -> Vec<Arrow> {
+    pub(super) fn eliminate(&self, rows: &[Rows], damping: f64) -> Vec<Arrow> {
         let (n_state, np) = (self.n_state(), self.x.len());
         let mut arrows: Vec<Arrow> = Vec::new();
         let mut k = 0;
@@ -435,87 +443,9 @@ impl<'a> Descent<'a> {
             .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
             .sum()
     }
-
-    /// The fit at the present point.
-    pub(super) fn conclude(mut self, status: Status) -> Result<Fit, SysidError> {
-        self.placed = place(self.problem, &self.windows, &self.x);
-        let cost = self.cost()?;
-        let rows = self.rows()?;
-        let arrows = self.eliminate(&rows, LEAST_DAMPING);
-        let n_trials = self.problem.trials.len();
-        let mut trajectories = vec![Vec::new(); n_trials];
-        let nq = self.problem.model.nq();
-        for (window, simulated) in self.windows.iter().zip(&self.simulated) {
-            // the last knot is the next window's
-            let end = simulated.qpos.len() - if window.followed { nq } else { 0 };
-            trajectories[window.trial].extend_from_slice(&simulated.qpos[..end]);
-        }
-        // states that are given are known
-        let mut weakest = (1.0, 0, 0, 0);
-        for (trial, arrow) in arrows.iter().enumerate() {
-            let (ratio, (k, i)) = arrow.weakest();
-            if ratio < weakest.0 {
-                let mut windows = self.windows.iter().filter(|w| w.trial == trial);
-                let knot = windows.nth(k).map_or(0, |w| w.first);
-                weakest = (ratio, trial, knot, i % self.problem.model.nv());
-            }
-        }
-        Ok(Fit {
-            x: self.x.clone(),
-            trajectories,
-            cost,
-            negative_log_evidence: cost + arrows.iter().map(Arrow::log_diagonal).sum::<f64>(),
-            level: 0.0,
-            force_sigma: vec![0.0; self.problem.model.nv()],
-            status,
-            innovations: self.innovations(&rows, &arrows),
-            history: std::mem::take(&mut self.history),
-            weakest,
-        })
-    }
-
-    /// Every row with its states where they are best for the parameters: sensitivities are total derivatives.
-    ///
-    /// The elimination's own innovations mix all samples of a window; these stay at their time, which robust intervals
-    /// need. Their information is the same.
-    fn innovations(&self, rows: &[Rows], arrows: &[Arrow]) -> Innovations {
-        let (n_state, np) = (self.n_state(), self.x.len());
-        let origin = changes(arrows, &vec![0.0; np]);
-        let by_x: Vec<Vec<f64>> = (0..np)
-            .map(|j| {
-                let mut unit = vec![0.0; np];
-                unit[j] = 1.0;
-                changes(arrows, &unit)
-                    .iter()
-                    .zip(&origin)
-                    .map(|(c, o)| c - o)
-                    .collect()
-            })
-            .collect();
-        let mut innovations = Innovations {
-            n_parameters: np,
-            ..Innovations::default()
-        };
-        for (w, (window, rows)) in self.windows.iter().zip(rows).enumerate() {
-            // this window's state and the next one's
-            let from = w * n_state;
-            let to = (from + 2 * n_state).min(origin.len());
-            let through = |row: &[f64], states: &[f64]| -> f64 {
-                row.iter().zip(&states[from..to]).map(|(a, b)| a * b).sum()
-            };
-            for (knot, row) in rows.iter() {
-                let (state, rest) = row.split_at(2 * n_state);
-                let own = (0..np).map(|j| rest[j] + through(state, &by_x[j]));
-                innovations.rows.extend(own);
-                innovations.rows.push(-rest[np] - through(state, &origin));
-                innovations.places.push((window.trial, knot));
-            }
-        }
-        innovations
-    }
 }
 
 /// Changes of all states (windows × 2 nv) for a step of the parameters.
-fn changes(arrows: &[Arrow], dx: &[f64]) -> Vec<f64> {
+pub(super) fn changes(arrows: &[Arrow], dx: &[f64]) -> Vec<f64> {
     arrows.iter().flat_map(|a| a.back_substitute(dx)).collect()
 }

@@ -26,6 +26,7 @@
 //! Reference: Bock 1983, "Recent advances in parameter identification techniques for O.D.E.".
 
 pub(crate) mod columns;
+mod conclude;
 mod descent;
 mod measured;
 mod motion;
