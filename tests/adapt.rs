@@ -12,7 +12,7 @@ const RIG: &str = "[physics]\nsubsteps = 1\n[sensing]\nencoder_steps_per_rad = 2
     [[effect]]\nname = \"link_mass\"\nwhere = \"p0_forearm\"\nshare = 0.5\n";
 const PARAMETERS: &str =
     "[[parameter]]\nelement = \"body/p0_forearm\"\nattribute = \"mass\"\nprior_sigma = 1.0\n";
-const SETTINGS: &str = "rounds = 1\nseconds = 0.1\nmodels = 4\nrollouts = 1\nidentify_timestep_s = 0.002\n\
+const SETTINGS: &str = "rounds = 1\nseconds = 0.1\nmodels = 4\nrollouts = 1\nidentify_method = \"joint\"\nidentify_timestep_s = 0.002\n\
     identify_iterations = 5\n[training.train]\niterations = 1\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
 
 fn phantom(folder: &Path, args: &[&str]) -> Output {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{AdaptError, Adaptation};
+use super::{AdaptConfig, AdaptError, Adaptation, IdentifyMethod};
 use crate::mujoco::Model;
 use crate::randomise::Ensemble;
 use crate::recording::Recording;
@@ -17,6 +17,7 @@ use crate::sysid::joint::JointSettings;
 use crate::sysid::method::Method;
 use crate::sysid::parameter::Parameters;
 use crate::sysid::problem::Problem;
+use crate::sysid::shooting::ShootingSettings;
 use crate::sysid::summary::Outcome;
 
 /// A parameter with what is known of it.
@@ -80,6 +81,29 @@ fn load(file: &Path, timestep_s: Option<f64>) -> Result<Model, AdaptError> {
     Ok(model)
 }
 
+/// The method with its settings.
+fn method(config: &AdaptConfig) -> Method {
+    match config.identify_method {
+        IdentifyMethod::Joint => {
+            let joint = JointSettings::default();
+            Method::Joint(JointSettings {
+                max_iterations: config.identify_iterations.unwrap_or(joint.max_iterations),
+                ..joint
+            })
+        }
+        IdentifyMethod::Shooting => {
+            let shooting = ShootingSettings::default();
+            Method::Shooting(ShootingSettings {
+                window_s: config.identify_window_s,
+                max_iterations: config
+                    .identify_iterations
+                    .unwrap_or(shooting.max_iterations),
+                ..shooting
+            })
+        }
+    }
+}
+
 /// The posterior given `recordings`, and models drawn from it.
 pub(super) fn identify(
     adaptation: &Adaptation,
@@ -97,11 +121,7 @@ pub(super) fn identify(
     }
     let model = Arc::new(load(file, config.identify_timestep_s)?);
     let problem = Problem::new(Arc::clone(&model), &parameters, recordings)?;
-    let joint = JointSettings::default();
-    let method = Method::Joint(JointSettings {
-        max_iterations: config.identify_iterations.unwrap_or(joint.max_iterations),
-        ..joint
-    });
+    let method = method(config);
     let start = Start {
         x: problem.parameters.start(),
         trajectories: None,

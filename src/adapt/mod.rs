@@ -58,6 +58,16 @@ pub enum Objective {
     Epopt(f64),
 }
 
+/// How the posterior is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum IdentifyMethod {
+    /// by inverse dynamics along an estimated motion
+    Joint,
+    /// by simulations of windows; for joints that stick
+    Shooting,
+}
+
 /// How the loop runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -70,9 +80,13 @@ pub struct AdaptConfig {
     pub seconds: f64,
     /// identify from the policy's own recordings too
     pub identify_policy: bool,
+    /// how to identify
+    pub identify_method: IdentifyMethod,
+    /// length of a window of shooting, s
+    pub identify_window_s: f64,
     /// time step of identification, s; the model's when absent
     pub identify_timestep_s: Option<f64>,
-    /// most iterations of identification at a level of unexplained force
+    /// most iterations of identification (joint: at a level of unexplained force)
     pub identify_iterations: Option<usize>,
     /// models drawn from the posterior
     pub models: usize,
@@ -98,6 +112,8 @@ impl Default for AdaptConfig {
             behaviours: vec!["multi_sine".to_owned()],
             seconds: 2.0,
             identify_policy: false,
+            identify_method: IdentifyMethod::Shooting,
+            identify_window_s: 0.2,
             identify_timestep_s: None,
             identify_iterations: None,
             models: 16,
@@ -233,8 +249,13 @@ impl AdaptConfig {
         for name in &self.behaviours {
             behaviour::entry(name)?;
         }
-        let seconds = [Some(self.seconds), self.identify_timestep_s];
-        for (key, value) in ["seconds", "identify_timestep_s"].into_iter().zip(seconds) {
+        let keys = ["seconds", "identify_window_s", "identify_timestep_s"];
+        let seconds = [
+            Some(self.seconds),
+            Some(self.identify_window_s),
+            self.identify_timestep_s,
+        ];
+        for (key, value) in keys.into_iter().zip(seconds) {
             if let Some(value) = value
                 && !(value.is_finite() && value > 0.0)
             {
