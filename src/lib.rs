@@ -7,6 +7,7 @@
 //! main → cli → {train, bench} → {npg, rollout, evaluate, run_dir}
 //!        cli → gap → {sysid, compare, supplement, mjcf}
 //!        cli → {compare, rig} → {report, recording, rollout}
+//!        cli → blind → {gap, rig}
 //!        cli → {reproduce, adapt} → {train, sysid, compare, rig, report}
 //!                  rollout → {task, policy, exploration, randomise, rng} → mujoco → mujoco_sys
 //! ```
@@ -24,6 +25,7 @@
 
 pub mod adapt;
 pub mod bench;
+pub mod blind;
 pub mod cli;
 pub mod compare;
 pub mod crosscheck;

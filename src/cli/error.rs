@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use thiserror::Error;
 
 use crate::adapt::AdaptError;
+use crate::blind::BlindError;
 use crate::compare::CompareError;
 use crate::gap::GapError;
 use crate::mujoco::MujocoError;
@@ -66,6 +67,14 @@ pub enum CliError {
         file: PathBuf,
         /// what is wrong
         reason: String,
+    },
+    /// A suite of blind tests cannot be run.
+    #[error("{}: {source}", file.display())]
+    Blind {
+        /// the suite, or the case
+        file: PathBuf,
+        /// what is wrong
+        source: Box<BlindError>,
     },
     /// A recording or its binding table is not usable.
     #[error(transparent)]

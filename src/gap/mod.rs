@@ -14,6 +14,7 @@
 
 pub mod effect;
 pub mod figures;
+mod given;
 mod left;
 mod locate;
 mod model;
@@ -32,6 +33,7 @@ use crate::compare::CompareError;
 use crate::mujoco::MujocoError;
 use crate::sysid::SysidError;
 use crate::sysid::fit::Iteration;
+pub use given::{is_place, with_effects};
 pub use model::Chosen;
 pub use run::{Input, MissingSeries, Options, Outcome, run};
 pub use search::Limits;

@@ -1,9 +1,9 @@
 //! The answer.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// In one word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// effects were found, each with one name

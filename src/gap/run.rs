@@ -200,7 +200,7 @@ pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<O
 
 /// The configuration, without the velocities of joints whose positions are measured: those are made from positions, by
 /// filters that look like late sensors.
-fn judged(input: &Input<'_>) -> Result<ProblemConfig, GapError> {
+pub(super) fn judged(input: &Input<'_>) -> Result<ProblemConfig, GapError> {
     let model = &input.model.model;
     let names = Problem::new(
         Arc::clone(model),
@@ -280,7 +280,7 @@ fn same_channels(
 }
 
 /// The present model with its numbers.
-fn machine(search: &Search<'_>) -> Result<Machine, GapError> {
+pub(super) fn machine(search: &Search<'_>) -> Result<Machine, GapError> {
     let problem = &search.windows.problem;
     let model = ensemble::model_at(&problem.model, &problem.parameters, &search.x)?;
     let values = problem.parameters.values(&search.x);

@@ -1,5 +1,6 @@
 //! `phantom gap`: what a model lacks.
 
+mod bench;
 mod write;
 
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::sysid::arguments::{Named, read_all};
@@ -28,12 +29,39 @@ use crate::sysid::problem::ProblemConfig;
 /// Exit code 0: effects were found, or nothing is missing; 1: something is missing that no effect explains. See
 /// docs/gap.md.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:
+#[command(
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    after_help = "Examples:
   phantom gap --model arm.xml --parameters arm.toml --train a.mcap b.mcap --holdout c.mcap --out gap
   phantom gap --model emps.xml --parameters mass.toml --train emps_train.csv --holdout emps_pulses.csv \\
       --binding bindings/emps.toml --protocol bindings/emps.protocol.toml --out gap
-  phantom gap --parameters finger.toml --train free.mcap --out gap --max-effects 1 --json")]
+  phantom gap --parameters finger.toml --train free.mcap --out gap --max-effects 1 --json
+  phantom gap bench --suite suites/arm.toml --out blind               how often it is right"
+)]
 pub(super) struct GapArgs {
+    #[command(subcommand)]
+    command: Option<GapCommand>,
+    #[command(flatten)]
+    search: SearchArgs,
+}
+
+#[derive(Debug, Subcommand)]
+enum GapCommand {
+    Bench(bench::BenchArgs),
+}
+
+impl GapArgs {
+    pub(super) fn run(self) -> Result<ExitCode, CliError> {
+        match self.command {
+            Some(GapCommand::Bench(args)) => args.run(),
+            None => self.search.run(),
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+struct SearchArgs {
     /// Model (MJCF) [default: xml/phantom.xml]
     #[arg(long, value_name = "FILE.xml")]
     model: Option<PathBuf>,
@@ -69,8 +97,8 @@ pub(super) struct GapArgs {
     json: bool,
 }
 
-impl GapArgs {
-    pub(super) fn run(self) -> Result<ExitCode, CliError> {
+impl SearchArgs {
+    fn run(self) -> Result<ExitCode, CliError> {
         let path = model_path(self.model.as_deref());
         load_model(&path)?;
         let model = ModelFile::load(&path).map_err(GapError::from)?;

@@ -1,0 +1,206 @@
+//! One answer against the sealed truth.
+//!
+//! | word | meaning |
+//! | --- | --- |
+//! | detected | anything was named, or `unknown` said |
+//! | class | every hidden effect is in the class of one that was named at its place |
+//! | exact | and is its first name |
+//! | closed | (before − after)/(before − oracle) of the held-out error, where the oracle fits the true structure |
+//! | detectability | t of the true effect in the first screen: 2 is what chance does now and then |
+
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal};
+
+use super::suite::{Arm, Case, Expect, SuiteConfig};
+use crate::gap::result::{Answer, Named, Verdict};
+use crate::gap::{effect, is_place};
+use crate::rig::Truth;
+
+/// A number that was hidden, and its interval.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Covered {
+    /// effect
+    pub effect: String,
+    /// hidden
+    pub truth: f64,
+    /// found
+    pub value: f64,
+    /// 95 % interval
+    pub ci95: [f64; 2],
+}
+
+impl Covered {
+    /// Whether the truth is inside.
+    pub fn inside(&self) -> bool {
+        (self.ci95[0]..=self.ci95[1]).contains(&self.truth)
+    }
+}
+
+/// An effect at a place.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct At {
+    /// effect
+    pub name: String,
+    /// place, without its kind
+    #[serde(rename = "where")]
+    pub place: String,
+}
+
+/// What came of one case.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "independent yes-or-no questions, a column of the table each"
+)]
+pub struct Scored {
+    /// see [`Case::key`]
+    pub case: String,
+    /// arm
+    pub arm: String,
+    /// factor on amplitudes
+    pub severity: f64,
+    /// factor on noise
+    pub noise: f64,
+    /// hidden
+    pub truth: Vec<At>,
+    /// t of the hidden effect in the first screen, of one alone
+    pub detectability: Option<f64>,
+    /// in one word
+    pub verdict: Verdict,
+    /// found, first names
+    pub found: Vec<At>,
+    /// sizes of their classes
+    pub class_sizes: Vec<usize>,
+    /// something was said to be missing
+    pub detected: bool,
+    /// hidden effects are in the classes found, nothing else was found
+    pub class: bool,
+    /// and have the first names
+    pub exact: bool,
+    /// the answer is the one expected
+    pub right: bool,
+    /// numbers of those with the right first name
+    pub covered: Vec<Covered>,
+    /// see the module
+    pub closed: Option<f64>,
+    /// seconds of the search
+    pub seconds: f64,
+}
+
+/// Scores an answer.
+pub(super) fn score(
+    suite: &SuiteConfig,
+    case: &Case,
+    truth: &Truth,
+    answer: &Answer,
+    oracle: Option<f64>,
+) -> Scored {
+    let arm: &Arm = &suite.arm[case.arm];
+    let hidden = hidden(truth);
+    let at = |n: &Named| At {
+        name: n.name.clone(),
+        place: n.at.clone(),
+    };
+    let found: Vec<At> = answer.effects.iter().map(at).collect();
+    let detected = !found.is_empty() || answer.verdict == Verdict::Unknown;
+    let meant = |h: &At, n: &Named| in_class(h, n);
+    let all = |f: &dyn Fn(&At, &Named) -> bool| {
+        hidden
+            .iter()
+            .all(|h| answer.effects.iter().any(|n| f(h, n)))
+            && answer
+                .effects
+                .iter()
+                .all(|n| hidden.iter().any(|h| f(h, n)))
+    };
+    let class = !hidden.is_empty() && all(&meant);
+    let exact = class && all(&|h: &At, n: &Named| h.name == n.name && is_place(&h.place, &n.at));
+    let untestable = |h: &At| answer.untestable.iter().any(|u| u.name == h.name);
+    let right = match arm.expect {
+        Expect::Truth if hidden.is_empty() => answer.verdict == Verdict::None,
+        Expect::Truth => class,
+        Expect::Unknown => answer.verdict == Verdict::Unknown,
+        Expect::CannotTell => {
+            class || (answer.verdict == Verdict::None && hidden.iter().all(untestable))
+        }
+    };
+    let evidence = match &hidden[..] {
+        [h] => (answer.evidence.iter())
+            .filter(|e| e.name == h.name && is_place(&h.place, &e.at))
+            .map(|e| sureness(e.p_value))
+            .next(),
+        _ => None,
+    };
+    let closed = match (&answer.gap.holdout, oracle) {
+        (Some(gap), Some(oracle)) if gap.before > oracle => {
+            Some((gap.before - gap.after) / (gap.before - oracle))
+        }
+        _ => None,
+    };
+    Scored {
+        case: case.key(suite),
+        arm: arm.name.clone(),
+        severity: case.severity,
+        noise: case.noise,
+        detectability: evidence,
+        verdict: answer.verdict,
+        class_sizes: answer.effects.iter().map(|n| n.class.len()).collect(),
+        detected,
+        class,
+        exact,
+        right,
+        covered: answer
+            .effects
+            .iter()
+            .filter_map(|n| covered(truth, n))
+            .collect(),
+        closed,
+        seconds: 0.0,
+        truth: hidden,
+        found,
+    }
+}
+
+/// Hidden effects by the names of the places that the search uses.
+pub(super) fn hidden(truth: &Truth) -> Vec<At> {
+    let name = |element: &str| element.split_once('/').map_or(element, |e| e.1).to_owned();
+    (truth.effect.iter())
+        .map(|e| At {
+            name: e.name.clone(),
+            place: match &e.with {
+                Some(with) => format!("{}+{}", name(&e.element), name(with)),
+                None => name(&e.element),
+            },
+        })
+        .collect()
+}
+
+fn in_class(hidden: &At, named: &Named) -> bool {
+    let first = named.class.contains(&hidden.name) && is_place(&hidden.place, &named.at);
+    // what looks alike may act elsewhere
+    first || (named.alike.iter()).any(|w| w.name == hidden.name && is_place(&hidden.place, &w.at))
+}
+
+/// Standard deviations of a normal number that are as unlikely.
+fn sureness(p_value: f64) -> f64 {
+    let p = p_value.max(1e-300);
+    -Normal::standard().inverse_cdf(0.5 * p)
+}
+
+/// The interval of the size of an effect that has one number, where its name and place are right.
+fn covered(truth: &Truth, named: &Named) -> Option<Covered> {
+    let about = effect::named(&named.name)?.about();
+    let sizes = about.parameters.iter().filter(|p| p.is_size()).count();
+    let value = named.parameters.first().filter(|_| sizes == 1)?;
+    let row = truth.parameter.iter().find(|p| {
+        let place = p.element.split_once('/').map_or(&*p.element, |e| e.1);
+        let effect = p.attribute.split_once('.').map(|a| a.0);
+        effect == Some(&*named.name) && place == named.at
+    })?;
+    Some(Covered {
+        effect: named.name.clone(),
+        truth: row.value,
+        value: value.value,
+        ci95: value.ci95?,
+    })
+}

@@ -1,0 +1,85 @@
+//! Effects that are given instead of searched for: what a search could reach at best.
+
+use std::sync::Arc;
+
+use super::model::Chosen;
+use super::result::Gap;
+use super::run::{self, Input, Options};
+use super::search::Search;
+use super::verify;
+use super::windows::{self, Windows};
+use super::{GapError, Report, Stage, Watch};
+use crate::sysid::problem::Problem;
+
+/// The gap with `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen.
+///
+/// # Errors
+/// As [`run::run`].
+pub fn with_effects(
+    input: &Input<'_>,
+    options: &Options,
+    effects: &[(String, String)],
+    report: Report<'_>,
+) -> Result<Option<Gap>, GapError> {
+    let mut watch = Watch {
+        report,
+        stage: Stage::Fit,
+        note: String::new(),
+    };
+    let mut search = begin(input, options, &mut watch)?;
+    let before = run::machine(&search)?;
+    let screen = search.screen(&mut watch)?.ok_or(GapError::Stopped)?;
+    let mut chosen = Vec::new();
+    for (name, place) in effects {
+        let found = screen.candidates.iter().find(|c| {
+            c.effect.about().name == name
+                && is_place(&c.place.to_string(), place)
+                && c.score.is_some()
+        });
+        let Some(c) = found else { return Ok(None) };
+        chosen.push(Chosen {
+            effect: c.effect,
+            place: c.place.clone(),
+            values: c.values.clone(),
+        });
+    }
+    let Some(fitted) = search.fitted(&chosen, &mut watch)? else {
+        return Ok(None);
+    };
+    search.take(fitted);
+    let after = run::machine(&search)?;
+    let sigma = |_: &str| None;
+    let (holdout, protocol) = (input.holdout, input.protocol);
+    let gap = verify::verify(&before, &after, holdout, protocol, &sigma, options.seed)?;
+    Ok(Some(gap))
+}
+
+fn begin<'a>(
+    input: &Input<'a>,
+    options: &Options,
+    watch: &mut Watch<'_>,
+) -> Result<Search<'a>, GapError> {
+    let config = run::judged(input)?;
+    let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
+    let length = options
+        .window_s
+        .unwrap_or_else(|| windows::length_s(&whole));
+    let start = whole.parameters.start();
+    let cut = Windows::cut(&whole, &start, length, options.most_windows)?;
+    Search::new(
+        input.model,
+        &input.config.parameter,
+        cut,
+        options.limits,
+        watch,
+    )
+}
+
+/// Places by name; the two joints of a coupling in either order.
+pub fn is_place(a: &str, b: &str) -> bool {
+    a == b
+        || match (a.split_once('+'), b.split_once('+')) {
+            (Some((a, b)), Some((c, d))) => (a, b) == (d, c),
+            _ => false,
+        }
+}

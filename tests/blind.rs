@@ -1,0 +1,81 @@
+//! Suites of blind tests: which machines they make, and what is refused. How often the search is right is a matter of
+//! `phantom gap bench` (docs/gap.md).
+
+use std::path::Path;
+
+use phantom::blind::{Suite, SuiteConfig};
+use phantom::rig::RigConfig;
+use phantom::sysid::problem::ProblemConfig;
+
+fn root(path: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn suite(arms: &str) -> Result<Suite, String> {
+    let text = format!(
+        "rig = \"r\"\nparameters = \"p\"\ntrain = [{{ behaviour = \"multi_sine\" }}]\nholdout = []\n{arms}"
+    );
+    let config: SuiteConfig = toml::from_str(&text).map_err(|e| e.message().to_owned())?;
+    let rig = std::fs::read_to_string(root("rigs/arm.toml")).expect("shipped");
+    let rig: RigConfig = toml::from_str(&rig).expect("shipped");
+    Suite::new(config, rig, &root("xml/arm.xml"), ProblemConfig::default())
+        .map_err(|e| e.to_string())
+}
+
+fn keys(suite: &Suite) -> Vec<String> {
+    suite.cases.iter().map(|c| c.key(&suite.config)).collect()
+}
+
+#[test]
+fn an_arm_makes_every_combination() {
+    let all = suite(
+        "[[arm]]\nname = \"none\"\nmachines = 2\n\
+         [[arm]]\nname = \"one\"\neffects = [\"cogging\", \"object_mass\"]\nseverity = [0.5, 2.0]\nnoise = [1.0, 4.0]\n\
+         machines = 1\n\
+         [[arm]]\nname = \"two\"\neffects = [\"*\"]\ntogether = 2\nmachines = 1",
+    )
+    .expect("a suite");
+    // an arm without a free body has no object: that effect makes no case
+    let expected = [
+        "none/-/1/1/0",
+        "none/-/1/1/1",
+        "one/cogging/0.5/1/0",
+        "one/cogging/0.5/4/0",
+        "one/cogging/2/1/0",
+        "one/cogging/2/4/0",
+        "two/-/1/1/0",
+    ];
+    assert_eq!(keys(&all), expected);
+}
+
+#[test]
+fn what_makes_no_sense_is_named() {
+    let refused = |arms: &str, what: &str| {
+        let message = suite(arms).expect_err(what);
+        assert!(message.contains(what), "{message}");
+    };
+    let none_fits = "[[arm]]\nname = \"a\"\neffects = [\"object_mass\"]\nmachines = 1";
+    refused(none_fits, "arm `a` makes no case");
+    let factor = "[[arm]]\nname = \"a\"\nmachines = 1\nnoise = [-1.0]";
+    refused(factor, "factor -1");
+    refused("[[arm]]\nname = \"a\"\nmachines = 1\nwat = 3", "wat");
+    refused(
+        "[[arm]]\nname = \"a\"\nmachines = 0",
+        "arm `a` makes no case",
+    );
+}
+
+#[test]
+fn shipped_suites_fit_their_rigs() {
+    for name in ["arm", "finger"] {
+        let read = |path: &str| std::fs::read_to_string(root(path)).expect("shipped");
+        let config: SuiteConfig =
+            toml::from_str(&read(&format!("suites/{name}.toml"))).expect("a suite");
+        let rig: RigConfig = toml::from_str(&read(&format!("rigs/{name}.toml"))).expect("a rig");
+        let parameters =
+            toml::from_str(&read(&format!("parameters/{name}.toml"))).expect("parameters");
+        let model = Suite::model_of(&rig, &root("rigs/x.toml")).expect("named");
+        let suite = Suite::new(config, rig, &model, parameters).expect("fits");
+        assert!(!suite.cases.is_empty());
+    }
+}
