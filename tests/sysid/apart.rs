@@ -18,12 +18,15 @@ fn model(names: &[&str], ball: bool, timestep: f64) -> Model {
     let (mut motors, mut sensors) = (String::new(), String::new());
     for name in names {
         let length = if *name == "a" { 0.4 } else { 0.3 };
-        bodies += &format!(
+        let body = format!(
             r#"<body name="{name}" pos="0 {length} 1"><joint name="{name}" axis="0 1 0" damping="0.05"/>
             <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -{length}" mass="0.6"/></body>"#
         );
-        motors += &format!(r#"<motor name="m{name}" joint="{name}"/>"#);
-        sensors += &format!(r#"<jointpos name="s{name}" joint="{name}"/>"#);
+        bodies.push_str(&body);
+        let motor = format!(r#"<motor name="m{name}" joint="{name}"/>"#);
+        motors.push_str(&motor);
+        let sensor = format!(r#"<jointpos name="s{name}" joint="{name}"/>"#);
+        sensors.push_str(&sensor);
     }
     if ball {
         bodies += r#"<geom type="plane" size="1 1 .1"/><body pos="1 1 0.1"><freejoint/><geom size="0.1"/></body>"#;
