@@ -22,12 +22,12 @@ pub struct SuiteConfig {
     pub train: Vec<TrialConfig>,
     /// recordings to verify with
     pub holdout: Vec<TrialConfig>,
-    /// most effects a search may name [4]
+    /// most effects a search may name; by default 4
     #[serde(default = "four")]
     pub max_effects: usize,
-    /// most windows of a search [that of `phantom gap`]
+    /// most windows of a search; by default that of `phantom gap`
     pub most_windows: Option<usize>,
-    /// number of the first machine [0]
+    /// number of the first machine; by default 0
     #[serde(default)]
     pub first_seed: u64,
     /// groups of cases
@@ -42,7 +42,7 @@ pub struct TrialConfig {
     pub behaviour: String,
     /// s; the behaviour's own when absent
     pub seconds: Option<f64>,
-    /// which trial of the behaviour [0]
+    /// which trial of the behaviour; by default 0
     #[serde(default)]
     pub trial: u64,
 }
@@ -69,16 +69,16 @@ pub struct Arm {
     /// globs of hidden effects, each a case of its own; none: nothing is hidden
     #[serde(default)]
     pub effects: Vec<String>,
-    /// globs of `kind/name` of places [all]
+    /// globs of `kind/name` of places; by default all
     #[serde(default = "any")]
     pub places: Vec<String>,
-    /// effects of a machine at once, drawn among `effects` [1]
+    /// effects of a machine at once, drawn among `effects`; by default 1
     #[serde(default = "one")]
     pub together: usize,
-    /// factors on the amplitudes of the rig's catalogue, each a case of its own [1]
+    /// factors on the amplitudes of the rig's catalogue, each a case of its own; by default 1
     #[serde(default = "unit")]
     pub severity: Vec<f64>,
-    /// factors on the noise of all sensors, each a case of its own [1]
+    /// factors on the noise of all sensors, each a case of its own; by default 1
     #[serde(default = "unit")]
     pub noise: Vec<f64>,
     /// machines of every kind

@@ -30,7 +30,7 @@ pub struct Rollout {
     pub mean_distance_cm: f64,
     /// why it ended early
     pub diverged: Option<String>,
-    /// at [`PATH_HZ`]
+    /// sampled at 100 Hz
     pub path: Vec<Place>,
 }
 
