@@ -17,7 +17,7 @@ impl Solver<'_> {
     pub(super) fn cost(&self, x: &[f64], evaluated: &[Evaluated], linear: &Linear) -> f64 {
         let n_channels = self.problem.channels.len();
         let free = self.problem.free_values(x);
-        let mut sum = self.prior_cost(x);
+        let mut sum = self.problem.parameters.prior_cost(x);
         for (i, evaluated) in evaluated.iter().enumerate() {
             let islands = &self.islands[i];
             let forces = self.forces(i, evaluated, linear);
@@ -102,13 +102,6 @@ impl Solver<'_> {
             .collect()
     }
 
-    fn prior_cost(&self, x: &[f64]) -> f64 {
-        (self.problem.parameters.iter_free().zip(x))
-            .filter(|(p, _)| p.prior_sigma.is_finite())
-            .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
-            .sum()
-    }
-
     /// All parts of all trajectories eliminated, with `found` in place of the values of forces.
     pub(super) fn eliminate_all(
         &self,
@@ -146,7 +139,7 @@ impl Solver<'_> {
             .unzip();
         let dx = solve_in_box(&normal, &right, &low, &high);
         let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
-        let mut foreseen = self.prior_cost(&x);
+        let mut foreseen = self.problem.parameters.prior_cost(&x);
         for (arrow, own) in self.with_parameters(&arrows) {
             for row in arrow.innovations.chunks_exact(own.len() + 1) {
                 let moved: f64 = own.iter().zip(row).map(|(j, s)| s * dx[*j]).sum();

@@ -219,7 +219,7 @@ impl<'a> Descent<'a> {
 
     pub(super) fn cost(&self) -> Result<f64, SysidError> {
         let point = self.point(&self.x, &self.states);
-        let mut sum = self.prior_cost(&self.x);
+        let mut sum = self.problem.parameters.prior_cost(&self.x);
         for (w, simulated) in self.simulated.iter().enumerate() {
             sum += point.window_cost(w, simulated, self.settings.jump_sigma)?;
         }
@@ -324,7 +324,7 @@ impl<'a> Descent<'a> {
         let Some(best) = best.into_iter().collect::<Option<Vec<_>>>() else {
             return Ok(None);
         };
-        let cost = best.iter().map(|b| b.0).sum::<f64>() + self.prior_cost(x);
+        let cost = best.iter().map(|b| b.0).sum::<f64>() + self.problem.parameters.prior_cost(x);
         let (states, simulated) = best.into_iter().map(|(_, state, s)| (state, s)).unzip();
         Ok(Some(Taken {
             x: x.to_vec(),
@@ -340,7 +340,8 @@ impl<'a> Descent<'a> {
     fn expected(&self, rows: &[Rows], changes: &[f64], dx: &[f64]) -> f64 {
         let n_state = self.n_state();
         let x: Vec<f64> = self.x.iter().zip(dx).map(|(x, d)| x + d).collect();
-        let mut fall = self.prior_cost(&self.x) - self.prior_cost(&x);
+        let mut fall =
+            self.problem.parameters.prior_cost(&self.x) - self.problem.parameters.prior_cost(&x);
         for (w, rows) in rows.iter().enumerate() {
             let from = w * n_state;
             let states = &changes[from..(from + 2 * n_state).min(changes.len())];
@@ -434,14 +435,6 @@ impl<'a> Descent<'a> {
                 state.moved(self.problem, &change)
             })
             .collect()
-    }
-
-    fn prior_cost(&self, x: &[f64]) -> f64 {
-        let parameters = self.problem.parameters.iter_free().zip(x);
-        parameters
-            .filter(|(p, _)| p.prior_sigma.is_finite())
-            .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
-            .sum()
     }
 }
 
