@@ -1,15 +1,10 @@
 //! Effects that are given instead of searched for: what a search could reach at best.
 
-use std::sync::Arc;
-
 use super::model::Chosen;
 use super::result::Gap;
 use super::run::{self, Input, Options};
-use super::search::Search;
 use super::verify;
-use super::windows::{self, Windows};
 use super::{GapError, Report, Stage, Watch};
-use crate::sysid::problem::Problem;
 
 /// The gap with `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen.
 ///
@@ -26,7 +21,7 @@ pub fn with_effects(
         stage: Stage::Fit,
         note: String::new(),
     };
-    let mut search = begin(input, options, &mut watch)?;
+    let (_, mut search) = run::begin(input, options, &mut watch)?;
     let before = run::machine(&search)?;
     let screen = search.screen(&mut watch)?.ok_or(GapError::Stopped)?;
     let mut chosen = Vec::new();
@@ -52,27 +47,6 @@ pub fn with_effects(
     let (holdout, protocol) = (input.holdout, input.protocol);
     let gap = verify::verify(&before, &after, holdout, protocol, &sigma, options.seed)?;
     Ok(Some(gap))
-}
-
-fn begin<'a>(
-    input: &Input<'a>,
-    options: &Options,
-    watch: &mut Watch<'_>,
-) -> Result<Search<'a>, GapError> {
-    let config = run::judged(input)?;
-    let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
-    let length = options
-        .window_s
-        .unwrap_or_else(|| windows::length_s(&whole));
-    let start = whole.parameters.start();
-    let cut = Windows::cut(&whole, &start, length, options.most_windows)?;
-    Search::new(
-        input.model,
-        &input.config.parameter,
-        cut,
-        options.limits,
-        watch,
-    )
 }
 
 /// Places by name; the two joints of a coupling in either order.

@@ -111,26 +111,7 @@ pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<O
         stage: Stage::Fit,
         note: String::new(),
     };
-    watch.stage(Stage::Fit);
-    let config = judged(input)?;
-    let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
-    same_channels(&whole, &config, input)?;
-    let length = options
-        .window_s
-        .unwrap_or_else(|| windows::length_s(&whole));
-    let cut = Windows::cut(
-        &whole,
-        &whole.parameters.start(),
-        length,
-        options.most_windows,
-    )?;
-    let mut search = Search::new(
-        input.model,
-        &config.parameter,
-        cut,
-        options.limits,
-        &mut watch,
-    )?;
+    let (whole, mut search) = begin(input, options, &mut watch)?;
     let before = machine(&search)?;
     let screened = |screen: Option<Screen>| screen.ok_or(GapError::Stopped);
     let mut screen = screened(search.screen(&mut watch)?)?;
@@ -198,9 +179,32 @@ pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<O
     })
 }
 
+/// The recordings as a whole, and the search with the base model fitted to their windows.
+///
+/// # Errors
+/// Input that does not fit together.
+pub(super) fn begin<'a>(
+    input: &Input<'a>,
+    options: &Options,
+    watch: &mut Watch<'_>,
+) -> Result<(Problem, Search<'a>), GapError> {
+    watch.stage(Stage::Fit);
+    let config = judged(input)?;
+    let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
+    same_channels(&whole, &config, input)?;
+    let length = options
+        .window_s
+        .unwrap_or_else(|| windows::length_s(&whole));
+    let start = whole.parameters.start();
+    let cut = Windows::cut(&whole, &start, length, options.most_windows)?;
+    let rules = &input.config.parameter;
+    let search = Search::new(input.model, rules, cut, options.limits, watch)?;
+    Ok((whole, search))
+}
+
 /// The configuration, without the velocities of joints whose positions are measured: those are made from positions, by
 /// filters that look like late sensors.
-pub(super) fn judged(input: &Input<'_>) -> Result<ProblemConfig, GapError> {
+fn judged(input: &Input<'_>) -> Result<ProblemConfig, GapError> {
     let model = &input.model.model;
     let names = Problem::new(
         Arc::clone(model),
