@@ -114,7 +114,15 @@ impl<'a> ModelEdit<'a> {
 
     /// Switches the computation of sensor values on or off; off, `sensordata` is stale and a step cheaper.
     pub fn set_sensors(&mut self, on: bool) {
-        let flag = ffi::mjtDisableBit_::mjDSBL_SENSOR as i32;
+        self.switch(ffi::mjtDisableBit_::mjDSBL_SENSOR as i32, on);
+    }
+
+    /// Switches the search for contacts on or off; off, nothing touches.
+    pub fn set_contacts(&mut self, on: bool) {
+        self.switch(ffi::mjtDisableBit_::mjDSBL_CONTACT as i32, on);
+    }
+
+    fn switch(&mut self, flag: i32, on: bool) {
         let flags = &mut self.model.raw_mut().opt.disableflags;
         *flags = if on { *flags & !flag } else { *flags | flag };
     }

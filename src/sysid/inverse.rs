@@ -56,6 +56,7 @@ pub struct Inverse {
     data: Data,
     damped: bool,
     sensors: bool,
+    contacts: bool,
     scaled: Vec<f64>,   // h D a (nv)
     solved: Vec<f64>,   // M⁻¹ h D a (nv)
     residual: Vec<f64>, // r (nv)
@@ -77,6 +78,7 @@ impl Inverse {
             damped: data.model().dof_damping().iter().any(|&d| d > 0.0),
             data,
             sensors,
+            contacts: true,
             scaled: vec![0.0; nv],
             solved: vec![0.0; nv],
             residual: vec![0.0; nv],
@@ -98,6 +100,15 @@ impl Inverse {
         &self.data
     }
 
+    /// From now on computes as if nothing touched.
+    ///
+    /// # Errors
+    /// As [`Data::edit_model`].
+    pub(super) fn leave_out_contacts(&mut self) -> Result<()> {
+        self.contacts = false;
+        self.data.edit_model(|edit| edit.set_contacts(false))
+    }
+
     /// Gives the model the numbers of `nominal` changed by parameters `x` (free).
     ///
     /// # Errors
@@ -109,6 +120,9 @@ impl Inverse {
         x: &[f64],
     ) -> std::result::Result<(), SysidError> {
         parameters.apply(nominal, x, &mut self.data)?;
+        if !self.contacts {
+            self.leave_out_contacts()?;
+        }
         self.damped = self.data.model().dof_damping().iter().any(|&d| d > 0.0);
         Ok(())
     }

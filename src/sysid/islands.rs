@@ -107,6 +107,11 @@ impl Islands {
         }
     }
 
+    /// Whether there are contacts of which parameters say something.
+    pub(super) fn is_touching(&self, model: &Model) -> bool {
+        (self.contacts.iter()).any(|geoms| self.matters(model, *geoms))
+    }
+
     /// Whether bodies of which parameters say something touch.
     pub(super) fn matters(&self, model: &Model, geoms: [usize; 2]) -> bool {
         geoms.iter().any(|g| {

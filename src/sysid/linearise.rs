@@ -25,7 +25,7 @@
 //!
 //! Columns of parts that nothing connects (see [`super::islands`]) are changed at once. During a descent forces keep the
 //! A₀ they had where it began as their metric, A₀ (a − ā) in place of A (a − ā), so that the cost is one function of
-//! motion and parameters: derivatives are those above, times A₀ A⁻¹.
+//! motion and parameters: derivatives are those above, times A₀ A⁻¹. Contacts of parts that tell nothing are left out.
 
 use std::ops::Range;
 
@@ -53,7 +53,8 @@ pub(super) struct Blocks {
     rows_per_knot: usize,
     width: usize,
     rows: Vec<f64>,
-    metric: Vec<f64>, // (knots × n × n) A
+    metric: Vec<f64>, // (knots × n × n) by which forces are measured
+    own: Vec<f64>,    // the same, A at the point of the linearisation
 }
 
 impl Blocks {
@@ -64,7 +65,18 @@ impl Blocks {
             width,
             rows: vec![0.0; n_knots * rows_per_knot * width],
             metric: vec![0.0; n_knots * n * n],
+            own: vec![0.0; n_knots * n * n],
         }
+    }
+
+    /// Measures forces by A at the point of the linearisation.
+    pub(super) fn measure_by_own(&mut self, island: &Island) {
+        let n = island.dofs.len();
+        (self.rows)
+            .par_chunks_mut((self.rows_per_knot * self.width).max(1))
+            .zip(self.metric.par_chunks_mut((n * n).max(1)))
+            .zip(self.own.par_chunks((n * n).max(1)))
+            .for_each(|((rows, metric), own)| measure_by(island, rows, metric, own));
     }
 
     /// Row `i` of knot `k`: forces, then channels; columns q₋, q, q₊, x, value.
@@ -90,6 +102,7 @@ struct Section<'a> {
     island: &'a Island,
     rows: &'a mut [f64],
     metric: &'a mut [f64],
+    own: &'a mut [f64],
     /// A of an earlier linearisation, which is to stay
     kept: Option<&'a [f64]>,
 }
@@ -130,7 +143,8 @@ impl Point<'_> {
             let n = island.dofs.len();
             let rows = (blocks.rows).chunks_mut(size * island.n_rows() * island.width());
             let metric = blocks.metric.chunks_mut(size * n * n);
-            for (c, (rows, metric)) in rows.zip(metric).enumerate() {
+            let own = blocks.own.chunks_mut(size * n * n);
+            for (c, ((rows, metric), own)) in rows.zip(metric).zip(own).enumerate() {
                 let kept = kept.map(|k| {
                     let first = c * size * n * n;
                     &k[i].metric[first..first + metric.len()]
@@ -139,6 +153,7 @@ impl Point<'_> {
                     island,
                     rows,
                     metric,
+                    own,
                     kept,
                 });
             }
@@ -162,6 +177,9 @@ impl Point<'_> {
     ) -> Result<(), SysidError> {
         let nu = self.problem.model.nu();
         let mut inverse = self.inverse()?;
+        if !islands.is_touching(&self.problem.model) {
+            inverse.leave_out_contacts()?;
+        }
         for (i, (k, at)) in range.clone().zip(kinematics).enumerate() {
             inverse.set_ctrl(&controls[k * nu..(k + 1) * nu]);
             self.trajectory_columns(&mut inverse, at, k, i, sections)?;
@@ -178,6 +196,7 @@ impl Point<'_> {
                 if !self.is_end(k) {
                     let metric = &mut section.metric[here.clone()];
                     at_prediction(section.island, rows, metric);
+                    section.own[here.clone()].copy_from_slice(metric);
                     if let Some(kept) = section.kept {
                         measure_by(section.island, rows, metric, &kept[here]);
                     }

@@ -155,7 +155,7 @@ impl<'a> Solver<'a> {
             let step = match attempt {
                 Attempt::Step(step) => step,
                 Attempt::Settled | Attempt::Failed if goal.is_exact && state.is_metric_old => {
-                    before = self.renew(state)?;
+                    before = self.measure(state);
                     n += 1;
                     continue;
                 }
@@ -242,25 +242,36 @@ impl<'a> Solver<'a> {
 
     /// The linearisation of the present point, forces measured as they are there.
     pub(super) fn state(&mut self) -> Result<State, SysidError> {
-        let mut state = match self.state.take() {
-            Some(state) => state,
-            None => State {
-                here: self.here()?,
-                linear: Linear::new(),
-                is_metric_old: true,
-            },
-        };
-        if state.is_metric_old {
-            self.renew(&mut state)?;
+        if let Some(mut state) = self.state.take() {
+            self.measure(&mut state);
+            return Ok(state);
         }
-        Ok(state)
+        let here = self.here()?;
+        Ok(State {
+            linear: self.linearise(&here, None)?,
+            here,
+            is_metric_old: false,
+        })
     }
 
-    /// Measures forces as they are at the present point, and gives the cost.
+    /// Linearises at the present point, and gives the cost by forces as they are there.
     fn renew(&self, state: &mut State) -> Result<f64, SysidError> {
         state.linear = self.linearise(&state.here, None)?;
         state.is_metric_old = false;
         Ok(self.cost(&self.x, &state.here, &state.linear))
+    }
+
+    /// Measures forces as they are where they were linearised last, and gives the cost.
+    fn measure(&self, state: &mut State) -> f64 {
+        if state.is_metric_old {
+            for (islands, blocks) in self.islands.iter().zip(&mut state.linear) {
+                for (island, blocks) in islands.parts.iter().zip(blocks) {
+                    blocks.measure_by_own(island);
+                }
+            }
+            state.is_metric_old = false;
+        }
+        self.cost(&self.x, &state.here, &state.linear)
     }
 
     /// Why no step lowers the cost.
