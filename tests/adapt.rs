@@ -4,7 +4,13 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use std::sync::Arc;
+
+use phantom::adapt::{AdaptConfig, Adaptation, Found, Missing, Round, Watch};
+use phantom::mujoco::Model;
+use phantom::rig::Rig;
 use phantom::run_dir;
+use phantom::sysid::parameter::ParameterRule;
 use serde_json::Value;
 
 /// The forearms of one finger are heavier than the model says.
@@ -12,7 +18,7 @@ const RIG: &str = "[physics]\nsubsteps = 1\n[sensing]\nencoder_steps_per_rad = 2
     [[effect]]\nname = \"link_mass\"\nwhere = \"p0_forearm\"\nshare = 0.5\n";
 const PARAMETERS: &str =
     "[[parameter]]\nelement = \"body/p0_forearm\"\nattribute = \"mass\"\nprior_sigma = 1.0\n";
-const SETTINGS: &str = "rounds = 1\nseconds = 0.1\nmodels = 4\nrollouts = 1\nidentify_method = \"joint\"\nidentify_timestep_s = 0.002\n\
+const SETTINGS: &str = "rounds = 1\nseconds = 0.1\nmodels = 4\nrollouts = 1\nmax_effects = 0\nidentify_method = \"joint\"\nidentify_timestep_s = 0.002\n\
     identify_iterations = 5\n[training.train]\niterations = 1\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
 
 fn phantom(folder: &Path, args: &[&str]) -> Output {
@@ -102,6 +108,83 @@ fn a_round_finds_the_mass_and_leaves_what_is_needed() {
     let message = String::from_utf8_lossy(&other.stderr).into_owned();
     assert_eq!(other.status.code(), Some(2));
     assert!(message.contains("another rig"), "{message}");
+}
+
+/// Says nothing, and never stops.
+struct Silent;
+
+impl Watch for Silent {
+    fn stage(&mut self, _text: &str) {}
+    fn advanced(&mut self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn physics_found_missing_is_estimated_and_found_once() {
+    let folder = folder();
+    let model_path = Path::new(env!("CARGO_MANIFEST_DIR")).join("xml/phantom.xml");
+    let model = Model::from_xml_path(&model_path).expect("loads");
+    let mut config: AdaptConfig = toml::from_str(SETTINGS).expect("settings");
+    config.max_effects = 1;
+    let adaptation = |out: &str| Adaptation {
+        out: folder.path().join(out),
+        rig: Rig::new(
+            model.try_clone().expect("a copy"),
+            toml::from_str(RIG).expect("a rig"),
+        )
+        .expect("fits"),
+        model_path: model_path.clone(),
+        model: Arc::new(model.try_clone().expect("a copy")),
+        policy: run_dir::read_json(&folder.path().join("run/policy_last.json")).expect("a policy"),
+        parameters: toml::from_str(PARAMETERS).expect("parameters"),
+        config: config.clone(),
+        threads: 1,
+    };
+    // the search is another module's: here it names a spring that stiffens the model file
+    let extended = folder.path().join("extended.xml");
+    let text = fs::read_to_string(&model_path).expect("readable");
+    let sprung = text.replacen(
+        "<joint name=\"p0_turret\"",
+        "<joint name=\"p0_turret\" stiffness=\"0.01\"",
+        1,
+    );
+    assert_ne!(sprung, text);
+    fs::write(&extended, sprung).expect("writable");
+    let mut searches = 0;
+    let mut run = |found: &dyn Fn() -> Found, out: &str| -> Option<Vec<Round>> {
+        let rounds = adaptation(out).run(
+            &mut |search, _| {
+                assert_eq!((search.round, search.recordings.len()), (1, 1));
+                searches += 1;
+                Ok(found())
+            },
+            &mut Silent,
+        );
+        rounds.expect("a loop")
+    };
+    let spring = || {
+        Found::Missing(Missing {
+            model: extended.clone(),
+            effects: vec!["joint_spring at p0_turret".to_owned()],
+            parameters: vec![ParameterRule {
+                prior_sigma: Some(1.0),
+                ..ParameterRule::new("joint/p0_turret", "stiffness")
+            }],
+        })
+    };
+    assert!(run(&|| Found::Stopped, "stopped").is_none());
+    for _ in 0..2 {
+        let rounds = run(&spring, "found").expect("to its end");
+        let identified = rounds[1].identified.as_ref().expect("identified");
+        assert_eq!(identified.added, ["joint_spring at p0_turret"]);
+        assert_eq!(identified.model, extended);
+        let names: Vec<&str> = (identified.parameters.iter().map(|p| p.name.as_str())).collect();
+        assert_eq!(names, ["body/p0_forearm mass", "joint/p0_turret stiffness"]);
+        // killed before the identification was written
+        fs::remove_file(folder.path().join("found/round-1/identified.json")).expect("was there");
+    }
+    assert_eq!(searches, 2);
 }
 
 #[test]

@@ -15,7 +15,7 @@ use crate::sysid::fit::{Iteration, Start, Status};
 use crate::sysid::interval::Label;
 use crate::sysid::joint::JointSettings;
 use crate::sysid::method::Method;
-use crate::sysid::parameter::Parameters;
+use crate::sysid::parameter::{ParameterRule, Parameters};
 use crate::sysid::problem::Problem;
 use crate::sysid::shooting::ShootingSettings;
 use crate::sysid::summary::Outcome;
@@ -55,14 +55,25 @@ pub struct Identified {
 }
 
 /// Physics that a model was found to lack.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Missing {
     /// model file that has it
     pub model: PathBuf,
     /// what it is, in words
     pub effects: Vec<String>,
     /// its numbers, to be estimated with the others
-    pub parameters: crate::sysid::problem::ProblemConfig,
+    pub parameters: Vec<ParameterRule>,
+}
+
+/// What a search for missing physics ends with.
+#[derive(Debug)]
+pub enum Found {
+    /// nothing is missing that could be named
+    Nothing,
+    /// this
+    Missing(Missing),
+    /// the search was stopped
+    Stopped,
 }
 
 /// Recordings with names.
@@ -117,7 +128,7 @@ pub(super) fn identify(
     if let Some(missing) = missing {
         parameters
             .parameter
-            .extend(missing.parameters.parameter.iter().cloned());
+            .extend(missing.parameters.iter().cloned());
     }
     let model = Arc::new(load(file, config.identify_timestep_s)?);
     let problem = Problem::new(Arc::clone(&model), &parameters, recordings)?;

@@ -25,8 +25,8 @@ mod identify;
 mod round;
 
 pub use figures::report;
-pub use identify::{Identified, Known, Missing, Named};
-pub use round::{FindMissing, Reference, Round, Tracking, Watch};
+pub use identify::{Found, Identified, Known, Missing, Named};
+pub use round::{FindMissing, Reference, Round, Search, Tracking, Watch};
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -78,6 +78,8 @@ pub struct AdaptConfig {
     pub behaviours: Vec<String>,
     /// duration of each of those recordings, s
     pub seconds: f64,
+    /// most effects that are looked for in a round; 0: physics that the model lacks is not looked for
+    pub max_effects: usize,
     /// identify from the policy's own recordings too
     pub identify_policy: bool,
     /// how to identify
@@ -111,6 +113,7 @@ impl Default for AdaptConfig {
             rounds: 2,
             behaviours: vec!["multi_sine".to_owned()],
             seconds: 2.0,
+            max_effects: 4,
             identify_policy: false,
             identify_method: IdentifyMethod::Shooting,
             identify_window_s: 0.2,
@@ -205,6 +208,14 @@ pub enum AdaptError {
         /// what it did
         behaviour: String,
         /// what was seen
+        reason: String,
+    },
+    /// Missing physics cannot be looked for.
+    #[error("round {round}: missing physics: {reason}")]
+    Gap {
+        /// from 1
+        round: usize,
+        /// why
         reason: String,
     },
     /// A file does not hold what it should.

@@ -3,6 +3,7 @@
 //! ```text
 //! DIR/adapt.json                     what is asked for; a folder is for one loop
 //! DIR/round-K/recordings/*.mcap      made with the policy of round K - 1
+//! DIR/round-K/missing.json           physics that the model lacks, by the same recordings
 //! DIR/round-K/identified.json        posterior of all recordings so far, models drawn from it
 //! DIR/round-K/policy/                run folder of the training
 //! DIR/round-K/tracking.json          the policy on the machine; of round 0, the policy to begin with
@@ -16,7 +17,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::identify::{Identified, Missing, Named, identify};
+use super::identify::{Found, Identified, Missing, Named, identify};
 use super::{AdaptError, Adaptation};
 use crate::mujoco::Model;
 use crate::policy::AffineGaussian;
@@ -73,9 +74,21 @@ pub trait Watch {
     fn advanced(&mut self) -> bool;
 }
 
-/// Finds physics that the model lacks in recordings; nothing: none is missing.
+/// Where physics that the model lacks is looked for.
+pub struct Search<'a> {
+    /// the loop
+    pub adaptation: &'a Adaptation,
+    /// from 1
+    pub round: usize,
+    /// all so far
+    pub recordings: &'a Named,
+    /// of the round
+    pub folder: &'a Path,
+}
+
+/// Finds physics that the model lacks.
 pub type FindMissing<'a> =
-    &'a mut dyn FnMut(&Adaptation, &Named, &Path) -> Result<Option<Missing>, AdaptError>;
+    &'a mut dyn FnMut(&Search<'_>, &mut dyn Watch) -> Result<Found, AdaptError>;
 
 impl Adaptation {
     /// All rounds, from round 0; nothing when `watch` ends them.
@@ -103,8 +116,9 @@ impl Adaptation {
             let identified: Identified = if file.exists() {
                 run_dir::read_json(&file)?
             } else {
-                watch.stage(&format!("round {number}: missing physics"));
-                let missing = find(self, &recordings, &folder)?;
+                let Some(missing) = self.missing(number, &recordings, find, watch)? else {
+                    return Ok(None);
+                };
                 watch.stage(&format!("round {number}: identification"));
                 let mut go_on = true;
                 let found = identify(self, &recordings, missing.as_ref(), &mut |_| {
@@ -178,6 +192,39 @@ impl Adaptation {
             all.push(self.tracking(&folder, &policy, watch)?);
         }
         Ok(Some(all))
+    }
+
+    /// What the model lacks by `recordings`, if anything; nothing when `watch` ends the search.
+    #[allow(clippy::option_option)] // stopped, or nothing found
+    fn missing(
+        &self,
+        number: usize,
+        recordings: &Named,
+        find: FindMissing<'_>,
+        watch: &mut dyn Watch,
+    ) -> Result<Option<Option<Missing>>, AdaptError> {
+        if self.config.max_effects == 0 {
+            return Ok(Some(None));
+        }
+        let folder = self.round(number);
+        let file = folder.join("missing.json");
+        if file.exists() {
+            return Ok(Some(run_dir::read_json(&file)?));
+        }
+        watch.stage(&format!("round {number}: missing physics"));
+        let search = Search {
+            adaptation: self,
+            round: number,
+            recordings,
+            folder: &folder,
+        };
+        let missing = match find(&search, watch)? {
+            Found::Stopped => return Ok(None),
+            Found::Nothing => None,
+            Found::Missing(missing) => Some(missing),
+        };
+        write(&file, &missing)?;
+        Ok(Some(missing))
     }
 
     fn round(&self, number: usize) -> PathBuf {

@@ -15,6 +15,7 @@ use crate::mjcf::file::rewrite;
 use crate::recording::Recording;
 use crate::sysid::ensemble;
 use crate::sysid::holdout::hold;
+use crate::sysid::parameter::ParameterRule;
 use crate::sysid::problem::{ChannelRule, Problem, ProblemConfig};
 
 /// What to look at.
@@ -66,6 +67,10 @@ pub struct Outcome {
     pub answer: Answer,
     /// text of the repaired model
     pub model: String,
+    /// text of the base model with the effects alone: its own numbers are as they were
+    pub extended: String,
+    /// numbers of the effects in both, as parameters of [`crate::sysid`] that begin where they are
+    pub rules: Vec<ParameterRule>,
     /// the model before and after, with fitted numbers
     pub machines: [Arc<crate::mujoco::Model>; 2],
     /// missing forces before and after, for figures
@@ -154,7 +159,15 @@ pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<O
     let verdict = verdict(&effects, &rest);
     let next_experiment = next(&effects, &untestable);
     let model = repaired(&search, input.model)?;
+    let rules = (search.built.estimated.iter())
+        .map(|(_, e)| ParameterRule {
+            start: None,
+            ..e.rule.clone()
+        })
+        .collect();
     Ok(Outcome {
+        rules,
+        extended: search.built.file.xml.clone(),
         answer: Answer {
             verdict,
             effects,

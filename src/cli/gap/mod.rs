@@ -1,7 +1,7 @@
 //! `phantom gap`: what a model lacks.
 
 mod bench;
-mod write;
+pub(super) mod write;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

@@ -10,26 +10,26 @@ use crate::gap::{Outcome, figures};
 use crate::run_dir;
 
 /// Where results go; made before the work begins.
-pub(super) struct Folder {
+pub(in crate::cli) struct Folder {
     path: PathBuf,
 }
 
 /// What was written.
-pub(super) struct Written {
+pub(in crate::cli) struct Written {
     pub model: PathBuf,
     pub report: PathBuf,
     pub json: String,
 }
 
 impl Folder {
-    pub(super) fn new(path: &Path) -> Result<Self, CliError> {
+    pub(in crate::cli) fn new(path: &Path) -> Result<Self, CliError> {
         fs::create_dir_all(path).map_err(|error| refuse(path, &error))?;
         Ok(Self {
             path: path.to_owned(),
         })
     }
 
-    pub(super) fn write(
+    pub(in crate::cli) fn write(
         &self,
         title: &str,
         base: &ModelFile,

@@ -1,5 +1,7 @@
 //! `phantom adapt`: record, identify, train, test; again.
 
+mod missing;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -33,8 +35,8 @@ enum ObjectiveName {
 
 /// Adapt a policy to a machine: record, identify, train on the posterior, test; again
 ///
-/// Each round lets the machine follow the spiral under the current policy and do what identifies it, estimates the
-/// parameters from all recordings so far, trains on models drawn from their posterior, and tests the policy on the machine.
+/// Each round lets the machine follow the spiral under the current policy and do what identifies it, finds physics that the
+/// model lacks (`phantom gap`), estimates the parameters of both from all recordings so far, trains on models drawn from their posterior, and tests the policy on the machine.
 /// Beside it, as long a training on the nominal model and on the rig's truth. Writes DIR/adapt.html, DIR/result.json, a
 /// figure as SVG and PNG, and all steps; what is there is used again, so that a loop that was stopped or killed goes on.
 ///
@@ -73,6 +75,9 @@ pub(super) struct AdaptArgs {
     /// What training on the posterior is for
     #[arg(long, value_enum)]
     objective: Option<ObjectiveName>,
+    /// Most effects that are looked for in a round; 0: none
+    #[arg(long, value_name = "N")]
+    max_effects: Option<usize>,
     /// Share of the trajectories, the worst, of --objective epopt [default: 0.25]
     #[arg(long, value_name = "SHARE", value_parser = positive)]
     epsilon: Option<f64>,
@@ -156,7 +161,7 @@ impl AdaptArgs {
 
     /// The loop and its references; nothing when the user stopped.
     fn all(&self, adaptation: &Adaptation, bar: &mut Bar) -> Result<Option<Outcome>, CliError> {
-        let Some(rounds) = adaptation.run(&mut |_, _, _| Ok(None), bar)? else {
+        let Some(rounds) = adaptation.run(&mut missing::find, bar)? else {
             return Ok(None);
         };
         let mut references = Vec::new();
@@ -177,6 +182,7 @@ impl AdaptArgs {
             None => AdaptConfig::default(),
         };
         config.rounds = self.rounds.unwrap_or(config.rounds);
+        config.max_effects = self.max_effects.unwrap_or(config.max_effects);
         if let Some(iterations) = self.iterations {
             config.training.train.iterations = iterations as u64;
         }
