@@ -16,6 +16,7 @@
 
 mod butterworth;
 mod closure;
+mod differences;
 mod error;
 pub mod figures;
 pub mod forces;

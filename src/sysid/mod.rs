@@ -54,6 +54,7 @@ pub mod problem;
 mod reach;
 pub mod rollouts;
 mod rows;
+mod rule;
 mod separate;
 pub mod shooting;
 mod smooth;
