@@ -6,11 +6,13 @@ use super::SysidError;
 use super::norm::Norm;
 use super::problem::{Channel, ProblemConfig, Sample, Setting, Stage, Trial};
 use crate::mjcf::glob;
-use crate::mujoco::Model;
+use crate::mujoco::{Measures, Model};
 use crate::recording::{Bound, BoundChannel, Channel as Described, Recording};
 
 /// Least number of knots of a recording.
 const MIN_KNOTS: usize = 8;
+/// Ranges of a limited joint that its position may move through: degrees for rad are 57, mm for m 1000.
+const MOST_RANGES: f64 = 5.0;
 
 /// Samples and controls of a recording; its channels join those of earlier recordings, and so do notes.
 pub(super) fn trial(
@@ -80,6 +82,11 @@ pub(super) fn trial(
         }
         if values.is_empty() {
             continue;
+        }
+        if let Some(joint) = position_of(model, source)
+            && let Some(reason) = beyond_range(model, joint, &values)
+        {
+            return Err(refuse(format!("channel `{}` {reason}", described.name)));
         }
         let index = channels
             .iter()
@@ -170,6 +177,43 @@ pub(super) fn trial(
         samples: all,
         recording: Arc::new(recording.clone()),
     })
+}
+
+/// The hinge or slide whose position a number of (sensordata, qpos, qvel) is.
+fn position_of(model: &Model, source: usize) -> Option<usize> {
+    let n = model.nsensordata();
+    let address = if source >= n {
+        (source - n < model.nq()).then_some(source - n)?
+    } else {
+        let owns = |sensor: &usize| model.sensor_adr()[*sensor] as usize == source;
+        match model.measures((0..model.nsensor()).find(owns)?) {
+            Measures::Position(address) => address,
+            _ => return None,
+        }
+    };
+    (0..model.njnt())
+        .find(|j| model.jnt_qposadr()[*j] as usize == address && model.is_slide(*j).is_some())
+}
+
+/// Why readings cannot be positions of a limited joint in the model's unit.
+fn beyond_range(model: &Model, joint: usize, values: &[(f64, f64)]) -> Option<String> {
+    let (low, high) = (values.iter().map(|v| v.1))
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+            (l.min(v), h.max(v))
+        });
+    let range = model.jnt_range()[2 * joint + 1] - model.jnt_range()[2 * joint];
+    if model.jnt_limited()[joint] == 0 || high - low <= MOST_RANGES * range {
+        return None;
+    }
+    let (unit, other) = match model.is_slide(joint) {
+        Some(true) => ("m", "mm"),
+        _ => ("rad", "degrees"),
+    };
+    Some(format!(
+        "moves through {:.4} where its joint has a range of {range:.4} {unit}: is it in {other}? convert it in a binding \
+         table (--binding: from, scale, unit)",
+        high - low
+    ))
 }
 
 /// √n for every reading in a run of n equal ones.

@@ -259,6 +259,28 @@ fn units_that_contradict_the_model_are_named() {
 }
 
 #[test]
+fn degrees_that_name_no_unit_are_seen_by_the_joints_range() {
+    let folder = folder();
+    let limited = model().replace(
+        r#"axis="0 1 0" damping"#,
+        r#"axis="0 1 0" limited="true" range="-150 150" damping"#,
+    );
+    fs::write(folder.path().join("m.xml"), limited).expect("written");
+    let mut degrees = rows();
+    degrees
+        .iter_mut()
+        .for_each(|row| row[1] = row[1].to_degrees());
+    write_rows(&folder.path().join("degrees.csv"), &degrees);
+    let words = ["encoder", "range of 5.236 rad", "in degrees?", "--binding"];
+    assert_refused(folder.path(), "p.toml", "degrees.csv", &[], &words);
+    let binding = "[[channel]]\nfrom = \"encoder\"\nscale = 0.017453292519943295\n";
+    fs::write(folder.path().join("b.toml"), binding).expect("written");
+    let more = ["--binding", "b.toml"];
+    let (code, _, error) = run(folder.path(), "p.toml", "degrees.csv", &more);
+    assert_eq!(code, Some(0), "{error}");
+}
+
+#[test]
 fn numbers_that_are_missing_infinite_or_always_the_same() {
     let folder = folder();
     let with = |name: &str, change: &dyn Fn(usize, &mut [f64; 6])| {
