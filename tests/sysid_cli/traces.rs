@@ -267,9 +267,9 @@ fn degrees_that_name_no_unit_are_seen_by_the_joints_range() {
     );
     fs::write(folder.path().join("m.xml"), limited).expect("written");
     let mut degrees = rows();
-    degrees
-        .iter_mut()
-        .for_each(|row| row[1] = row[1].to_degrees());
+    for row in &mut degrees {
+        row[1] = row[1].to_degrees();
+    }
     write_rows(&folder.path().join("degrees.csv"), &degrees);
     let words = ["encoder", "range of 5.236 rad", "in degrees?", "--binding"];
     assert_refused(folder.path(), "p.toml", "degrees.csv", &[], &words);
