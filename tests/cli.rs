@@ -490,3 +490,16 @@ fn every_help_has_examples() {
         assert!(text(&output.stdout).contains("Examples:"), "{command}");
     }
 }
+
+#[test]
+fn a_search_for_missing_effects_refuses_what_it_cannot_use() {
+    let folder = folder();
+    let at = folder.path();
+    let none = ["gap", "--model", "none.xml", "--train", "a.mcap"];
+    refuses(at, &none, &["none.xml"]);
+    write(at, "bad.xml", "<mujoco><worldbody><body></mujoco>");
+    let bad = ["gap", "--model", "bad.xml", "--train", "a.mcap"];
+    refuses(at, &bad, &["bad.xml"]);
+    let missing = ["gap", "--train", "a.mcap"];
+    refuses(at, &missing, &["a.mcap"]);
+}

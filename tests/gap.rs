@@ -8,7 +8,7 @@ use std::sync::Arc;
 use phantom::compare::Settings;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::Verdict;
-use phantom::gap::{self, GapError, Input, Options, Outcome, figures};
+use phantom::gap::{self, GapError, Input, Keeper, Options, Outcome, figures};
 use phantom::mujoco::Data;
 use phantom::recording::{Channel, Kind, Meta, Recording, Stream};
 use phantom::rng::{self, Purpose};
@@ -133,10 +133,19 @@ fn hidden_friction_is_found_named_and_added() {
     assert!(held.after < 0.3 * held.before, "{held:?}");
     assert!(answer.gap.rollout.iter().all(|r| r.after < 0.3 * r.before));
     assert!(answer.gap.worse.is_empty(), "{:?}", answer.gap.worse);
+    // simulated and searched again, it lacks nothing
+    let again = answer.round_trip.as_ref().expect("a round trip");
+    assert!(again.found.is_empty(), "{again:?}");
+    assert!(
+        again.returned.len() == 1 && again.returned[0].is_inside(),
+        "{again:?}"
+    );
     // the repaired file keeps its comment, loads, and has the friction
     assert!(outcome.model.contains("<!-- hangs -->"));
     let repaired = ModelFile::of_text(outcome.model.clone(), "machine.xml").expect("it loads");
-    assert_eq!(repaired.model.dof_frictionloss()[0], level.value);
+    // the number and the value differ by the rounding of origin + slope × value
+    let written = repaired.model.dof_frictionloss()[0];
+    assert!((written / level.value - 1.0).abs() < 1e-12, "{written}");
     // the same seed gives the same report
     let again = search(FRICTION, 1);
     let page = |o: &Outcome| {
@@ -147,6 +156,81 @@ fn hidden_friction_is_found_named_and_added() {
     opens_without_network(&page(&outcome), "coulomb_friction");
 }
 
+/// Stages in memory.
+#[derive(Default, Clone)]
+struct Kept(std::collections::BTreeMap<String, Vec<u8>>);
+
+impl Keeper for Kept {
+    fn load(&mut self, stage: &str) -> Option<Vec<u8>> {
+        self.0.get(stage).cloned()
+    }
+
+    fn save(&mut self, stage: &str, bytes: &[u8]) {
+        self.0.insert(stage.into(), bytes.to_vec());
+    }
+}
+
+#[test]
+fn a_search_goes_on_from_its_finished_stages() {
+    let (model, config) = (file(""), config());
+    let (train, holdout) = ([record(FRICTION, 1)], [record(FRICTION, 101)]);
+    let input = Input {
+        model: &model,
+        config: &config,
+        train: &train,
+        holdout: &holdout,
+        protocol: &Settings::default(),
+    };
+    let options = Options::default();
+    let run = |kept: &mut Kept| {
+        let mut fits = 0;
+        let outcome = gap::resume(&input, &options, kept, &mut |stage, note, _| {
+            fits += usize::from(stage == gap::Stage::Fit && note.contains("cost"));
+            true
+        });
+        (outcome.unwrap_or_else(|e| panic!("{e}")), fits)
+    };
+    let mut all = Kept::default();
+    let (whole, fits) = run(&mut all);
+    assert!(fits > 0);
+    let stages: Vec<&str> = all.0.keys().map(String::as_str).collect();
+    assert_eq!(stages, ["effect-1", "effect-2", "fit", "screen"]);
+    for killed_after in [
+        &["fit"][..],
+        &["fit", "screen", "effect-1"],
+        stages.as_slice(),
+    ] {
+        let mut some = all.clone();
+        some.0
+            .retain(|stage, _| killed_after.contains(&stage.as_str()));
+        let (again, fits) = run(&mut some);
+        assert_eq!(
+            (again.answer, again.model),
+            (whole.answer.clone(), whole.model.clone())
+        );
+        assert_eq!(fits, 0, "the base model is fitted again");
+    }
+    // a stage that was cut short is done again
+    let mut broken = all.clone();
+    if let Some(bytes) = broken.0.get_mut("fit") {
+        bytes.truncate(100);
+    }
+    let (again, fits) = run(&mut broken);
+    assert_eq!(again.model, whole.model);
+    assert!(fits > 0);
+    // other inputs have another key
+    let other = Options {
+        seed: 1,
+        ..options.clone()
+    };
+    assert_ne!(gap::key(&input, &options), gap::key(&input, &other));
+    let fewer = Input {
+        holdout: &[],
+        ..input
+    };
+    assert_ne!(gap::key(&input, &options), gap::key(&fewer, &options));
+}
+
 #[test]
 fn where_nothing_is_hidden_nothing_is_found() {
     for seed in 1..4 {
@@ -154,6 +238,54 @@ fn where_nothing_is_hidden_nothing_is_found() {
         assert_eq!(answer.verdict, Verdict::None, "{seed}: {answer:#?}");
         assert!(answer.effects.is_empty());
     }
+}
+
+#[test]
+fn inputs_that_cannot_work_say_what_to_do() {
+    let (model, config) = (file(""), config());
+    let train = [record("", 1)];
+    let refused =
+        |config: &ProblemConfig, options: &Options, recordings: &[(String, Recording)]| {
+            let input = Input {
+                model: &model,
+                config,
+                train: recordings,
+                holdout: &[],
+                protocol: &Settings::default(),
+            };
+            match gap::run(&input, options, &mut |_, _, _| true) {
+                Err(error @ GapError::Input { .. }) => error.to_string(),
+                other => panic!("{other:?}"),
+            }
+        };
+    let only = |name: &str| Options {
+        effects: vec![name.into()],
+        ..Options::default()
+    };
+    // an effect that does not exist, and one that has no place in the model
+    let message = refused(&config, &only("friction"), &train);
+    assert!(
+        message.contains("no effect `friction`") && message.contains("coulomb_friction"),
+        "{message}"
+    );
+    let message = refused(&config, &only("friction_cone"), &train);
+    assert!(
+        message.contains("cannot carry the effect `friction_cone`"),
+        "{message}"
+    );
+    // a machine at rest says nothing of its mass
+    let mut still = record("", 1);
+    for value in &mut still.1.streams[0].values {
+        *value = 0.0;
+    }
+    let free: ProblemConfig =
+        toml::from_str("[[parameter]]\nelement = \"body/link\"\nattribute = \"mass\"\n")
+            .expect("a configuration");
+    let message = refused(&free, &Options::default(), &[still]);
+    assert!(
+        message.contains("excitation") && message.contains("link"),
+        "{message}"
+    );
 }
 
 /// Opens a page in a browser that cannot resolve any host, and looks for a word.

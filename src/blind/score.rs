@@ -187,20 +187,46 @@ fn sureness(p_value: f64) -> f64 {
     -Normal::standard().inverse_cdf(0.5 * p)
 }
 
+/// The asymmetry that is left of one larger than the level of friction: friction never drives.
+fn acting(asymmetry: f64, level: f64) -> f64 {
+    0.5 * ((level + asymmetry).max(0.0) - (level - asymmetry).max(0.0))
+}
+
 /// The interval of the size of an effect that has one number, where its name and place are right.
 fn covered(truth: &Truth, named: &Named) -> Option<Covered> {
     let about = effect::named(&named.name)?.about();
     let sizes = about.parameters.iter().filter(|p| p.is_size()).count();
     let value = named.parameters.first().filter(|_| sizes == 1)?;
-    let row = truth.parameter.iter().find(|p| {
-        let place = p.element.split_once('/').map_or(&*p.element, |e| e.1);
-        let effect = p.attribute.split_once('.').map(|a| a.0);
-        effect == Some(&*named.name) && place == named.at
-    })?;
+    let rows: Vec<f64> = (truth.parameter.iter())
+        .filter(|p| {
+            let place = p.element.split_once('/').map_or(&*p.element, |e| e.1);
+            let effect = p.attribute.split_once('.').map(|a| a.0);
+            effect == Some(&*named.name) && place == named.at
+        })
+        .map(|p| p.value)
+        .collect();
+    let hidden = match (&*named.name, &rows[..]) {
+        ("asymmetric_friction", [asymmetry, level, ..]) => acting(*asymmetry, *level),
+        (_, [first, ..]) => *first,
+        _ => return None,
+    };
     Some(Covered {
         effect: named.name.clone(),
-        truth: row.value,
+        truth: hidden,
         value: value.value,
         ci95: value.ci95?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::acting;
+
+    #[test]
+    fn friction_never_drives() {
+        // forwards 0.0425, backwards nothing: as 0.02125 on a level of 0.02125
+        assert!((acting(0.0306, 0.0119) - 0.02125).abs() < 1e-12);
+        assert!((acting(-0.0306, 0.0119) + 0.02125).abs() < 1e-12);
+        assert_eq!(acting(0.003, 0.0119), 0.003);
+    }
 }

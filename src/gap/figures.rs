@@ -65,6 +65,28 @@ pub fn summary(answer: &Answer) -> Vec<String> {
     for worse in &answer.gap.worse {
         out.push(format!("WORSE: {worse}"));
     }
+    if let Some(again) = &answer.round_trip {
+        let found = if again.found.is_empty() {
+            "nothing more".to_owned()
+        } else {
+            again.found.join(", ")
+        };
+        out.push(format!(
+            "round trip: the repaired model, simulated and searched again, lacks {found}"
+        ));
+        for r in &again.returned {
+            let outside = if r.is_inside() { "" } else { ", OUTSIDE" };
+            out.push(format!(
+                "  {} at {}: {} put in, {} ({} to {}) came back{outside}",
+                r.name,
+                r.at,
+                number(r.put_in),
+                number(r.value),
+                number(r.ci95[0]),
+                number(r.ci95[1]),
+            ));
+        }
+    }
     out.extend(answer.gap.notes.iter().map(|n| format!("note: {n}")));
     if let Some(next) = &answer.next_experiment {
         out.push(format!(

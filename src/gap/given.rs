@@ -20,8 +20,9 @@ pub fn with_effects(
         report,
         stage: Stage::Fit,
         note: String::new(),
+        stopped: false,
     };
-    let (_, mut search) = run::begin(input, options, &mut watch)?;
+    let (_, mut search) = run::begin(input, options, &mut super::stages::Nowhere, &mut watch)?;
     let before = run::machine(&search)?;
     let screen = search.screen(&mut watch)?.ok_or(GapError::Stopped)?;
     let mut chosen = Vec::new();
@@ -42,10 +43,12 @@ pub fn with_effects(
         return Ok(None);
     };
     search.take(fitted);
+    search.settle(&mut watch)?;
     let after = run::machine(&search)?;
     let sigma = |_: &str| None;
-    let (holdout, protocol) = (input.holdout, input.protocol);
-    let gap = verify::verify(&before, &after, holdout, protocol, &sigma, options.seed)?;
+    let (holdout, seed) = (input.holdout, options.seed);
+    let protocol = verify::protocol(input.protocol, search.windows.length_s);
+    let gap = verify::verify(&before, &after, holdout, &protocol, &sigma, seed)?;
     Ok(Some(gap))
 }
 

@@ -1,30 +1,38 @@
 //! What the simulation is missing: where it and recorded data disagree, and which physics would mend it.
 //!
 //! ```text
-//! fit       parameters of the base model, from windows of the training recordings          [windows]
+//! fit       parameters of the base model, from windows of the training recordings          [windows, fit, weigh]
 //! locate    where more is left than noise explains: joint, phase, direction, speed          [locate]
-//! screen    every effect of the catalogue at every place: would it explain what is left?    [screen, score]
+//! screen    every effect of the catalogue at every place: would it explain what is left?    [linear, screen, score]
 //! refit     the best few in full; forward, delete, swap                                     [search]
 //! name      how sure, and what these recordings cannot tell apart                           [name]
 //! add       the effects in the model file                                                   [effect]
-//! verify    held-out recordings, before and after                                           [verify]
+//! verify    held-out recordings, before and after; the repaired model, searched again        [verify, round_trip]
 //! ```
 //!
 //! [`run()`] does all of it in memory; nothing is printed, and nothing read but the model's own assets.
 
+mod coarse;
 pub mod effect;
 pub mod figures;
+mod fit;
 mod given;
+mod inputs;
 mod left;
+mod linear;
 mod locate;
 mod model;
 mod name;
+mod pulse;
 pub mod result;
+mod round_trip;
 mod run;
 mod score;
 mod screen;
 mod search;
+mod stages;
 mod verify;
+mod weigh;
 mod windows;
 
 use thiserror::Error;
@@ -35,8 +43,9 @@ use crate::sysid::SysidError;
 use crate::sysid::fit::Iteration;
 pub use given::{is_place, with_effects};
 pub use model::Chosen;
-pub use run::{Input, MissingSeries, Options, Outcome, run};
+pub use run::{Input, MissingSeries, Options, Outcome, resume, run};
 pub use search::Limits;
+pub use stages::{Keeper, Nowhere, key};
 
 /// Why there is no answer.
 #[derive(Debug, Error)]
@@ -104,20 +113,35 @@ struct Watch<'a> {
     report: Report<'a>,
     stage: Stage,
     note: String,
+    /// whether it was asked to stop
+    stopped: bool,
 }
 
 impl Watch<'_> {
+    /// An error once it was asked to stop: what was cut short must not pass for finished.
+    fn go_on(&self) -> Result<(), GapError> {
+        if self.stopped {
+            Err(GapError::Stopped)
+        } else {
+            Ok(())
+        }
+    }
+
     fn stage(&mut self, stage: Stage) {
         self.stage = stage;
-        (self.report)(stage, &self.note, None);
+        self.stopped |= !(self.report)(stage, &self.note, None);
     }
 
     fn fit(&mut self, i: &Iteration) -> bool {
         let note = format!("{} cost {:.6e}", self.note, i.cost);
-        (self.report)(self.stage, note.trim(), None)
+        let go_on = (self.report)(self.stage, note.trim(), None);
+        self.stopped |= !go_on;
+        go_on
     }
 
     fn part(&mut self, done: usize, of: usize) -> bool {
-        (self.report)(self.stage, &self.note, Some(done as f64 / of.max(1) as f64))
+        let go_on = (self.report)(self.stage, &self.note, Some(done as f64 / of.max(1) as f64));
+        self.stopped |= !go_on;
+        go_on
     }
 }

@@ -76,7 +76,7 @@ fn by_name<S: serde::Serializer>(values: &[Value], s: S) -> Result<S::Ok, S::Err
 }
 
 /// A place and phase where the base model disagrees with the recordings.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Located {
     /// joint or sensor
     pub channel: String,
@@ -164,7 +164,7 @@ pub struct Experiment {
 }
 
 /// An effect that these recordings cannot speak of.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Untestable {
     /// effect
     pub name: String,
@@ -178,7 +178,7 @@ pub struct Untestable {
 }
 
 /// A line of the evidence.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tested {
     /// effect
     pub name: String,
@@ -248,6 +248,29 @@ pub struct Answer {
 pub struct RoundTrip {
     /// effects found beside those in the model
     pub found: Vec<String>,
-    /// name, value put in, value that came back
-    pub returned: Vec<(String, f64, f64)>,
+    /// numbers of the effects in the model
+    pub returned: Vec<Returned>,
+}
+
+/// A number that was simulated, and what was found of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Returned {
+    /// effect and parameter
+    pub name: String,
+    /// place
+    #[serde(rename = "where")]
+    pub at: String,
+    /// simulated
+    pub put_in: f64,
+    /// found
+    pub value: f64,
+    /// 95 % interval
+    pub ci95: [f64; 2],
+}
+
+impl Returned {
+    /// Whether it came back within its interval.
+    pub fn is_inside(&self) -> bool {
+        (self.ci95[0]..=self.ci95[1]).contains(&self.put_in)
+    }
 }

@@ -2,21 +2,25 @@
 
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use super::effect::{self, ModelFile};
+use super::inputs::{check_effects, excited, judged, same_channels};
 use super::locate::Missing;
 use super::result::{Answer, Experiment, Left, Tested, Untestable, Verdict};
 use super::screen::{LEAST_VISIBLE, Screen};
 use super::search::{Limits, Search};
+use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
 use super::verify::{self, Machine};
 use super::windows::{self, Windows};
-use super::{GapError, Report, Stage, Watch, left, name};
+use super::{GapError, Report, Stage, Watch, left, name, round_trip};
 use crate::compare::Settings;
 use crate::mjcf::file::rewrite;
 use crate::recording::Recording;
 use crate::sysid::ensemble;
 use crate::sysid::holdout::hold;
 use crate::sysid::parameter::ParameterRule;
-use crate::sysid::problem::{ChannelRule, Problem, ProblemConfig};
+use crate::sysid::problem::{Problem, ProblemConfig};
 
 /// What to look at.
 #[derive(Debug, Clone, Copy)]
@@ -46,6 +50,8 @@ pub struct Options {
     pub most_windows: usize,
     /// s of a window; none: from the data
     pub window_s: Option<f64>,
+    /// names of the effects to look for; none: all
+    pub effects: Vec<String>,
 }
 
 impl Default for Options {
@@ -56,6 +62,7 @@ impl Default for Options {
             limits: Limits::default(),
             most_windows: 240,
             window_s: None,
+            effects: Vec::new(),
         }
     }
 }
@@ -78,12 +85,12 @@ pub struct Outcome {
 }
 
 /// Missing force at every joint over the windows.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MissingSeries {
     /// joints
     pub joints: Vec<String>,
     /// of the forces
-    pub units: Vec<&'static str>,
+    pub units: Vec<String>,
     /// s from the start of the recordings, one after the other
     pub time_s: Vec<f64>,
     /// per joint (windows)
@@ -98,7 +105,7 @@ impl MissingSeries {
         let n = missing.joints.len();
         Self {
             joints: missing.joints.clone(),
-            units: missing.units.clone(),
+            units: missing.units.iter().map(|u| (*u).to_owned()).collect(),
             time_s: missing.time_s.clone(),
             force: (0..n).map(|j| column(&missing.force, j)).collect(),
             velocity: (0..n).map(|j| column(&missing.velocity, j)).collect(),
@@ -111,34 +118,91 @@ impl MissingSeries {
 /// # Errors
 /// Input that does not fit together; [`GapError::Stopped`].
 pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<Outcome, GapError> {
+    resume(input, options, &mut Nowhere, report)
+}
+
+/// As [`run()`], from the stages that `keeper` has; finished ones are given to it.
+///
+/// # Errors
+/// As [`run()`].
+pub fn resume(
+    input: &Input<'_>,
+    options: &Options,
+    keeper: &mut dyn Keeper,
+    report: Report<'_>,
+) -> Result<Outcome, GapError> {
     let mut watch = Watch {
         report,
         stage: Stage::Fit,
         note: String::new(),
+        stopped: false,
     };
-    let (whole, mut search) = begin(input, options, &mut watch)?;
+    let (whole, mut search) = begin(input, options, keeper, &mut watch)?;
     let before = machine(&search)?;
     let screened = |screen: Option<Screen>| screen.ok_or(GapError::Stopped);
-    let mut screen = screened(search.screen(&mut watch)?)?;
-    watch.stage(Stage::Locate);
-    let first = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
-    let located = first.located();
-    let evidence = tested(&screen);
-    let untestable = untestable(&search, &screen);
-    let n_candidates = super::search::tests(&screen);
-    while search.chosen.len() < options.max_effects {
-        watch.note = format!("effect {}", search.chosen.len() + 1);
-        if !search.forward(&screen, &mut watch)? {
+    let mut screen: Option<Screen> = None;
+    let known: Option<Screened> = stages::load(keeper, "screen");
+    let first = if let Some(known) = known {
+        known
+    } else {
+        let found = screened(search.screen(&mut watch)?)?;
+        watch.stage(Stage::Locate);
+        let missing = Missing::new(&search.windows, &search.x, &found, &search.stretch_of)?;
+        let first = Screened {
+            located: missing.located(),
+            evidence: tested(&found),
+            untestable: untestable(&search, &found),
+            n_candidates: super::search::tests(&found),
+            missing: MissingSeries::new(&missing),
+        };
+        stages::save(keeper, "screen", &first);
+        screen = Some(found);
+        first
+    };
+    for n in 1..=options.max_effects {
+        watch.note = format!("effect {n}");
+        let name = format!("effect-{n}");
+        if let Some(step) = stages::load::<Step>(keeper, &name) {
+            let ended = step.ended;
+            if step.restore(&mut search)? {
+                screen = None;
+                if ended {
+                    break;
+                }
+                continue;
+            }
+        }
+        let present = match screen.take() {
+            Some(present) => present,
+            None => screened(search.screen(&mut watch)?)?,
+        };
+        let more = search.forward(&present, &mut watch)?;
+        if more {
+            search.delete(&mut watch)?;
+        } else {
+            screen = Some(present);
+        }
+        watch.go_on()?;
+        stages::save(keeper, &name, &Step::of(&search, !more));
+        if !more {
             break;
         }
-        search.delete(&mut watch)?;
-        screen = screened(search.screen(&mut watch)?)?;
     }
     watch.note.clear();
+    let screen = match screen {
+        Some(present) => present,
+        None => screened(search.screen(&mut watch)?)?,
+    };
     watch.stage(Stage::Name);
     let effects = name::name(&search, &screen);
     let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
     let rest = left::left(&last);
+    watch.stage(Stage::Verify);
+    let round_trip = if effects.is_empty() {
+        None
+    } else {
+        round_trip::round_trip(&search, options.seed, &mut watch)?
+    };
     watch.stage(Stage::Verify);
     let after = machine(&search)?;
     let sigma = |channel: &str| {
@@ -152,12 +216,12 @@ pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<O
         &before,
         &after,
         input.holdout,
-        input.protocol,
+        &verify::protocol(input.protocol, search.windows.length_s),
         &sigma,
         options.seed,
     )?;
     let verdict = verdict(&effects, &rest);
-    let next_experiment = next(&effects, &untestable);
+    let next_experiment = next(&effects, &first.untestable);
     let model = repaired(&search, input.model)?;
     let rules = (search.built.estimated.iter())
         .map(|(_, e)| ParameterRule {
@@ -171,24 +235,21 @@ pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<O
         answer: Answer {
             verdict,
             effects,
-            located,
+            located: first.located,
             gap,
-            untestable,
+            untestable: first.untestable,
             next_experiment,
             model: "model.xml".into(),
-            evidence,
+            evidence: first.evidence,
             left: rest,
-            round_trip: None,
+            round_trip,
             window_s: search.windows.length_s,
             n_windows: search.windows.len(),
-            n_candidates,
+            n_candidates: first.n_candidates,
         },
         model,
         machines: [before.model, after.model],
-        missing: [
-            Some(MissingSeries::new(&first)),
-            Some(MissingSeries::new(&last)),
-        ],
+        missing: [Some(first.missing), Some(MissingSeries::new(&last))],
     })
 }
 
@@ -199,9 +260,11 @@ pub fn run(input: &Input<'_>, options: &Options, report: Report<'_>) -> Result<O
 pub(super) fn begin<'a>(
     input: &Input<'a>,
     options: &Options,
+    keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
 ) -> Result<(Problem, Search<'a>), GapError> {
     watch.stage(Stage::Fit);
+    check_effects(&options.effects, &input.model.model)?;
     let config = judged(input)?;
     let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
     same_channels(&whole, &config, input)?;
@@ -209,91 +272,23 @@ pub(super) fn begin<'a>(
         .window_s
         .unwrap_or_else(|| windows::length_s(&whole));
     let start = whole.parameters.start();
-    let cut = Windows::cut(&whole, &start, length, options.most_windows)?;
+    let mut cut = Windows::cut(&whole, &start, length, options.most_windows)?;
     let rules = &input.config.parameter;
-    let search = Search::new(input.model, rules, cut, options.limits, watch)?;
-    Ok((whole, search))
-}
-
-/// The configuration, without the velocities of joints whose positions are measured: those are made from positions, by
-/// filters that look like late sensors.
-fn judged(input: &Input<'_>) -> Result<ProblemConfig, GapError> {
-    let model = &input.model.model;
-    let names = Problem::new(
-        Arc::clone(model),
-        &without_parameters(input.config),
-        input.train,
-    )?;
-    let positions =
-        (names.channels.iter()).any(|c| c.stage == crate::sysid::problem::Stage::Position);
-    let mut config = input.config.clone();
-    if positions {
-        let velocities = names
-            .channels
-            .iter()
-            .filter(|c| windows::is_velocity(model, c.source));
-        let ignored = velocities.map(|c| ChannelRule {
-            name: c.name.clone(),
-            noise_sigma: None,
-            norm: crate::sysid::norm::Norm::default(),
-            ignore: true,
-        });
-        config.channel = ignored.chain(config.channel).collect();
-    }
-    Ok(config)
-}
-
-fn without_parameters(config: &ProblemConfig) -> ProblemConfig {
-    ProblemConfig {
-        parameter: Vec::new(),
-        ..config.clone()
-    }
-}
-
-/// Held-out recordings must be of the same machine: the same channels.
-fn same_channels(
-    train: &Problem,
-    config: &ProblemConfig,
-    input: &Input<'_>,
-) -> Result<(), GapError> {
-    if input.holdout.is_empty() {
-        return Ok(());
-    }
-    for (name, recording) in input.holdout {
-        let hashes = |r: &[(String, Recording)]| -> Vec<String> {
-            r.iter()
-                .map(|(_, r)| r.meta.model_hash.clone())
-                .filter(|h| !h.is_empty())
-                .collect()
-        };
-        let own = &recording.meta.model_hash;
-        if let Some(other) = hashes(input.train)
-            .iter()
-            .find(|h| !own.is_empty() && *h != own)
-        {
-            let reason = format!(
-                "held-out recording `{name}` is of another model than the training recordings ({own}, {other})"
-            );
-            return Err(GapError::Input { reason });
+    let limits = (options.limits, options.effects.clone());
+    if let Some(known) = stages::load::<Fit>(keeper, "fit") {
+        let noise = cut.problem.channels.iter().map(|c| c.sigma).collect();
+        if let Some(at) = known.restore(&mut cut) {
+            let of = (input.model, rules.as_slice());
+            return Ok((whole, Search::at(of, cut, limits, noise, at)?));
         }
     }
-    let held = Problem::new(
-        Arc::clone(&input.model.model),
-        &without_parameters(config),
-        input.holdout,
-    )?;
-    let missing: Vec<&str> = (train.channels.iter())
-        .filter(|c| !held.channels.iter().any(|h| h.name == c.name))
-        .map(|c| c.name.as_str())
-        .collect();
-    if !missing.is_empty() {
-        let reason = format!(
-            "held-out recordings have no channel {}, which the training recordings have",
-            missing.join(", ")
-        );
-        return Err(GapError::Input { reason });
-    }
-    Ok(())
+    let of = (input.model, rules.as_slice());
+    let search = Search::new(of, cut, &limits, watch)?;
+    watch.go_on()?;
+    excited(&search)?;
+    let fit = Fit::of(&search.windows, &search.x, search.cost);
+    stages::save(keeper, "fit", &fit);
+    Ok((whole, search))
 }
 
 /// The present model with its numbers.

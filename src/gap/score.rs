@@ -24,7 +24,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 
-use super::windows::{Column, Row};
+use super::linear::{Column, Row};
 
 /// Stretches that all windows are gathered in.
 const STRETCHES: usize = 40;
@@ -144,11 +144,22 @@ impl Normal {
         self.score_of(&at)
     }
 
-    /// Fall of the cost by a candidate, of all windows.
-    pub(super) fn gain(&self, candidate: &[usize]) -> f64 {
+    /// Fall of the cost by a candidate, of all windows, and the expected value of each of its columns' sizes; none where
+    /// others absorb it.
+    pub(super) fn gain(&self, candidate: &[usize]) -> Option<(f64, Vec<f64>)> {
         let at: Vec<usize> = candidate.iter().map(|c| self.n_parameters + c).collect();
-        let own = self.all().with(&at);
-        own.map_or(0.0, |(_, beta, own)| 0.5 * beta.dot(&(own * &beta)))
+        let (_, beta, own) = self.all().with(&at)?;
+        Some((0.5 * beta.dot(&(own * &beta)), beta.as_slice().to_vec()))
+    }
+
+    /// Standard deviation of every parameter's x by the residuals' weights and priors alone.
+    pub(super) fn spread(&self) -> Vec<f64> {
+        let np = self.n_parameters;
+        let Some(factor) = &self.all().factor else {
+            return vec![f64::INFINITY; np];
+        };
+        let inverse = factor.inverse();
+        (0..np).map(|j| inverse[(j, j)].max(0.0).sqrt()).collect()
     }
 
     /// Standard error of a fitted parameter's x, and the degrees of freedom behind it.

@@ -1,19 +1,22 @@
 //! Every effect at every place: what it would explain.
 //!
-//! The motion is linearised once ([`Windows::linearise`]); a candidate then costs one simulation of all windows for each
+//! The motion is linearised once ([`super::linear`]); a candidate then costs one simulation of all windows for each
 //! of its sizes, with the effect in the model and the first states as they are. Shapes that mean nothing without the
-//! effect are tried on their grid, those with many values first on a part of the windows.
+//! effect are tried on their grid, those with many values first on a part of the windows, periods by [`super::pulse`].
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use super::GapError;
 use super::effect::{self, Effect, ModelFile, Place, Role, Sign};
+use super::linear::{Column, Linear};
 use super::model::{Built, Measured, Variant, variants};
+use super::pulse::{self, Pulses};
 use super::score::{Normal, Score};
-use super::windows::{Column, Linear, Windows};
+use super::windows::Windows;
 use crate::sysid::parameter::Parameters;
 use crate::sysid::problem::Problem;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 /// More values of a grid than this are first tried on a part of the windows.
 const FEW: usize = 4;
@@ -22,9 +25,14 @@ const PART: usize = 4;
 /// An effect whose columns are others' to this part cannot be seen.
 pub(super) const LEAST_VISIBLE: f64 = 0.02;
 /// How many times the largest size to be expected a size may be.
-pub(super) const BEYOND: f64 = 4.0;
+pub(super) const BEYOND: f64 = 2.0;
 /// Part of a column's squared length that first states must leave: less is rounding.
 const LEFT: f64 = 1e-8;
+/// How often the best candidates are looked at again, and how many of them.
+const LOOKS: usize = 2;
+const AGAIN: usize = 16;
+/// Part of the size tried first below which there is nothing to look at.
+const LEAST_AGAIN: f64 = 0.02;
 /// Factor of a threshold's column that still means about that threshold.
 const ALL_OR_NOTHING: [f64; 2] = [0.4, 2.5];
 
@@ -63,6 +71,8 @@ pub(super) struct Look<'a> {
     pub x: &'a [f64],
     pub measured: &'a Measured,
     pub stretch_of: &'a [usize],
+    /// names of the effects to look at; none: all
+    pub only: &'a [String],
     /// effects and places that are in the model
     pub taken: Vec<(&'static str, Place)>,
 }
@@ -82,6 +92,8 @@ impl Look<'_> {
             .into_iter()
             .filter(|(e, p)| self.may_act(*e, p))
             .collect();
+        let normal = information(&linear, &prior);
+        let mut pulses: BTreeMap<usize, Pulses> = BTreeMap::new();
         let mut columns: Vec<Column> = Vec::new();
         let mut found: Vec<(usize, Variant, Vec<usize>)> = Vec::new();
         for (i, (effect, place)) in all.iter().enumerate() {
@@ -90,7 +102,9 @@ impl Look<'_> {
             }
             let scales = self.measured.scales(&self.built.file.model, place);
             let mut tried = variants(effect.about().parameters, &scales);
-            if tried.len() > FEW {
+            if effect.periodic().is_some() {
+                tried = self.best_period(*effect, place, tried, &linear, &mut pulses, &normal)?;
+            } else if tried.len() > FEW {
                 tried = self.best(*effect, place, tried, &linear, &prior)?;
             }
             for variant in tried {
@@ -103,8 +117,20 @@ impl Look<'_> {
                 found.push((i, variant, (from..columns.len()).collect()));
             }
         }
-        let normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
-        let motors = self.motors(&linear)?;
+        let mut normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
+        for _ in 0..LOOKS {
+            self.look_again(&all, &found, &linear, &normal, &mut columns)?;
+            normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
+        }
+        let length = |c: &Column| {
+            c.parts
+                .iter()
+                .map(DVector::norm_squared)
+                .sum::<f64>()
+                .sqrt()
+        };
+        let motors = linear.motors(self.windows, self.x)?.as_ref().map(length);
+        let motors = motors.filter(|m| *m > 0.0);
         let mut best: BTreeMap<usize, Candidate> = BTreeMap::new();
         for (i, variant, own) in found {
             let (effect, place) = &all[i];
@@ -127,9 +153,60 @@ impl Look<'_> {
         }))
     }
 
+    /// Columns of the variants that explain most, again with the size that is expected of them: dry friction, delays or
+    /// play do not act in proportion to their size.
+    fn look_again(
+        &self,
+        all: &[(&'static dyn Effect, Place)],
+        found: &[(usize, Variant, Vec<usize>)],
+        linear: &Linear,
+        normal: &Normal,
+        columns: &mut [Column],
+    ) -> Result<(), GapError> {
+        let mut best: Vec<(f64, usize, Vec<f64>)> = (found.iter().enumerate())
+            .filter_map(|(k, (_, _, own))| {
+                let (gain, expected) = normal.gain(own)?;
+                Some((gain, k, expected))
+            })
+            .collect();
+        best.sort_by(|a, b| b.0.total_cmp(&a.0));
+        for (_, k, expected) in best.into_iter().take(AGAIN) {
+            let (i, variant, own) = &found[k];
+            let (effect, place) = &all[*i];
+            let scales = self.measured.scales(&self.built.file.model, place);
+            let parameters = effect.about().parameters;
+            for (((c, (size, values)), &p), beta) in own
+                .iter()
+                .zip(&variant.columns)
+                .zip(&variant.parameters)
+                .zip(&expected)
+            {
+                let parameter = &parameters[p];
+                let most = parameter.high * parameter.scale(&scales);
+                let beta = beta.clamp(-most, most);
+                let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
+                let whole = matches!(parameter.role, Role::Threshold(_) | Role::Switch);
+                if whole || wrong || beta.abs() < LEAST_AGAIN * size.abs() {
+                    continue;
+                }
+                let mut values = values.clone();
+                values[p] = beta;
+                if let Some(held) = self.with(*effect, place, &values) {
+                    columns[*c] = linear.column(&held, beta, 1)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Whether an effect is worth a look: not there yet, and not a variety of friction where there is none.
     fn may_act(&self, effect: &dyn Effect, place: &Place) -> bool {
         let about = effect.about();
+        // constant torques say where something is missing
+        let wanted = self.only.is_empty() || self.only.iter().any(|n| n == about.name);
+        if !wanted && about.name != "torque_offset" {
+            return false;
+        }
         if self
             .taken
             .iter()
@@ -191,6 +268,35 @@ impl Look<'_> {
         Some(self.windows.held(&changed, self.x))
     }
 
+    /// The best period of many.
+    fn best_period(
+        &self,
+        effect: &'static dyn Effect,
+        place: &Place,
+        tried: Vec<Variant>,
+        linear: &Linear,
+        pulses: &mut BTreeMap<usize, Pulses>,
+        normal: &(DMatrix<f64>, DVector<f64>),
+    ) -> Result<Vec<Variant>, GapError> {
+        let model = &self.windows.problem.model;
+        let (Some(kind), Some((joint, motor))) = (effect.periodic(), pulse::site(model, place))
+        else {
+            return Ok(tried);
+        };
+        if let Entry::Vacant(new) = pulses.entry(joint) {
+            let held = self.windows.held(&self.windows.problem, self.x);
+            let size = self.measured.scales(model, place).force;
+            new.insert(Pulses::new(linear, &held, joint, size)?);
+        }
+        let period = |v: &Variant| v.columns[0].1.last().copied().unwrap_or_default();
+        let grid: Vec<f64> = tried.iter().map(period).collect();
+        let best = pulses[&joint].best(self.windows, self.x, kind, motor, &grid, normal);
+        Ok(tried
+            .into_iter()
+            .filter(|v| best == Some(period(v)))
+            .collect())
+    }
+
     /// The best of many variants by a part of the windows.
     fn best(
         &self,
@@ -214,34 +320,14 @@ impl Look<'_> {
                 })
                 .collect();
             let normal = Normal::new(&rows, &parts, &vec![0; rows.len()], prior);
-            let gain = normal.gain(&(0..parts.len()).collect::<Vec<_>>());
+            let gain = normal
+                .gain(&(0..parts.len()).collect::<Vec<_>>())
+                .map_or(0.0, |g| g.0);
             if best.as_ref().is_none_or(|(g, _)| gain > *g) {
                 best = Some((gain, variant));
             }
         }
         Ok(best.into_iter().map(|(_, v)| v).collect())
-    }
-
-    /// Length of what the motors do to the readings; none where there are none.
-    fn motors(&self, linear: &Linear) -> Result<Option<f64>, GapError> {
-        let problem = &self.windows.problem;
-        if problem.model.nu() == 0 {
-            return Ok(None);
-        }
-        let mut still = self.windows.held(problem, self.x);
-        for trial in &mut still.trials {
-            for control in trial.controls.iter_mut().flatten() {
-                control.1 = 0.0;
-            }
-        }
-        let column = linear.column(&still, 1.0, 1)?;
-        let length = column
-            .parts
-            .iter()
-            .map(DVector::norm_squared)
-            .sum::<f64>()
-            .sqrt();
-        Ok((length > 0.0).then_some(length))
     }
 }
 
@@ -298,6 +384,21 @@ fn candidate(
         size,
         sensible,
     }
+}
+
+/// Σ J̃ᵀJ̃ of the parameters with their priors, and the gradient of the cost.
+fn information(linear: &Linear, prior: &[(f64, f64)]) -> (DMatrix<f64>, DVector<f64>) {
+    let np = prior.len();
+    let (mut normal, mut gradient) = (DMatrix::zeros(np, np), DVector::zeros(np));
+    for row in &linear.rows {
+        normal.gemm_tr(1.0, &row.parameters, &row.parameters, 1.0);
+        gradient.gemv_tr(1.0, &row.parameters, &row.residual, 1.0);
+    }
+    for (j, (precision, own)) in prior.iter().enumerate() {
+        normal[(j, j)] += precision;
+        gradient[j] += own;
+    }
+    (normal, gradient)
 }
 
 /// Precision and gradient of every parameter's prior.

@@ -9,6 +9,8 @@
 //!   [`Limits::gain`] of the cost,
 //! - and of use where it was not fitted: `held_gain` above its standard error.
 
+use serde::{Deserialize, Serialize};
+
 use super::effect::{ModelFile, Place};
 use super::model::{Built, Chosen, Measured};
 use super::score::{self, Score};
@@ -43,23 +45,35 @@ const RIVALS: usize = 3;
 /// Part of the best one's gain that a rival has.
 const NEAR: f64 = 0.6;
 /// Iterations of a fit after a small change.
-const ITERATIONS: usize = 6;
+const ITERATIONS: usize = 12;
+/// Fits after which channels are weighed anew.
+const WEIGHINGS: usize = 2;
+/// Iterations of those.
+const ROUGH_ITERATIONS: usize = 5;
 /// Iterations of the first fit.
-const FIRST_ITERATIONS: usize = 30;
+const FIRST_ITERATIONS: usize = 40;
 /// Chance that a kept effect is none, above which it goes.
 const LEAVES: f64 = 0.01;
 /// A part of the base model's cost: less of a fall and the effect is not kept.
 const REAL: f64 = 0.3;
 
 /// The search as it stands.
+#[derive(Clone)]
 pub(super) struct Search<'a> {
     pub base: &'a ModelFile,
     pub rules: &'a [ParameterRule],
     pub limits: Limits,
+    /// names of those to look for; none: all
+    pub effects: Vec<String>,
     pub windows: Windows,
     pub stretch_of: Vec<usize>,
+    /// of every channel, as told
+    pub noise: Vec<f64>,
     pub measured: Measured,
+    /// with the values fitted
     pub chosen: Vec<Chosen>,
+    /// with the values that they were written into the model with
+    pub written: Vec<Chosen>,
     /// evidence of each when it was chosen
     pub evidence: Vec<Evidence>,
     pub built: Built,
@@ -68,7 +82,7 @@ pub(super) struct Search<'a> {
 }
 
 /// Why an effect was chosen.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Evidence {
     /// probability by chance, times the number of candidates
     pub p_value: f64,
@@ -79,45 +93,58 @@ pub(super) struct Evidence {
 }
 
 impl<'a> Search<'a> {
-    /// Fits the base model. The noise of every channel becomes what is left of it: what the model does not explain
-    /// weighs the channels, not what their data sheets say.
+    /// Fits the base model, channels weighed by what is left of them, see [`Windows::weigh`]: parameters that would have
+    /// to explain missing physics do not leave what their priors allow.
     ///
     /// # Errors
     /// See [`Windows::fit`].
     pub(super) fn new(
-        base: &'a ModelFile,
-        rules: &'a [ParameterRule],
+        of: (&'a ModelFile, &'a [ParameterRule]),
         mut windows: Windows,
-        limits: Limits,
+        limits: &(Limits, Vec<String>),
         watch: &mut Watch<'_>,
     ) -> Result<Self, GapError> {
-        let built = Built::new(base, rules, &[], &Measured::default())?;
+        let noise: Vec<f64> = windows.problem.channels.iter().map(|c| c.sigma).collect();
         let start = windows.problem.parameters.start();
-        let fit = windows.fit(&start, FIRST_ITERATIONS, &mut |i| watch.fit(i))?;
-        let linear = windows.linearise(&fit.x)?;
-        let mut squares = vec![(0.0, 0.0_f64); windows.problem.channels.len()];
-        for row in &linear.rows {
-            for (c, r) in row.channel.iter().zip(row.residual.iter()) {
-                squares[*c] = (squares[*c].0 + r * r, squares[*c].1 + 1.0);
-            }
+        windows.choose_step(&start)?;
+        let mut x = start.clone();
+        for _ in 0..WEIGHINGS {
+            x = windows
+                .fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?
+                .x;
+            windows.weigh(&x, &noise)?;
         }
-        for (channel, (sum, n)) in windows.problem.channels.iter_mut().zip(squares) {
-            channel.sigma *= f64::sqrt(sum / n.max(1.0)).max(1.0);
-        }
-        let fit = windows.fit(&fit.x, ITERATIONS, &mut |i| watch.fit(i))?;
+        let fit = windows.fit(&x, FIRST_ITERATIONS, &mut |i| watch.fit(i))?;
+        Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
+    }
+
+    /// The search with the base model fitted.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn at(
+        (base, rules): (&'a ModelFile, &'a [ParameterRule]),
+        windows: Windows,
+        (limits, effects): (Limits, Vec<String>),
+        noise: Vec<f64>,
+        (x, cost): (Vec<f64>, f64),
+    ) -> Result<Self, GapError> {
         let recording: Vec<usize> = windows.origin.iter().map(|o| o.0).collect();
-        let measured = Measured::new(&windows.problem, &fit.x, &windows.trajectories)?;
+        let measured = Measured::new(&windows.problem, &x, &windows.trajectories)?;
         Ok(Self {
+            built: Built::new(base, rules, &[], &Measured::default())?,
             base,
             rules,
             limits,
+            effects,
             stretch_of: score::stretches(&recording),
+            noise,
             measured,
             chosen: Vec::new(),
+            written: Vec::new(),
             evidence: Vec::new(),
-            built,
-            x: fit.x,
-            cost: fit.cost,
+            x,
+            cost,
             windows,
         })
     }
@@ -134,6 +161,7 @@ impl<'a> Search<'a> {
             x: &self.x,
             measured: &self.measured,
             stretch_of: &self.stretch_of,
+            only: &self.effects,
             taken: (self.chosen.iter())
                 .map(|c| (c.effect.about().name, c.place.clone()))
                 .collect(),
@@ -155,7 +183,9 @@ impl<'a> Search<'a> {
     }
 
     fn is_worthy(&self, c: &Candidate, s: &Score, tests: usize, cost: f64) -> bool {
-        c.sensible
+        let name = c.effect.about().name;
+        (self.effects.is_empty() || self.effects.iter().any(|n| n == name))
+            && c.sensible
             && s.visible >= LEAST_VISIBLE
             && s.p_value * tests as f64 <= self.limits.family_p
             && s.gain >= self.limits.gain * cost
@@ -212,7 +242,24 @@ impl<'a> Search<'a> {
             });
         }
         self.take(fitted);
+        self.settle(watch)?;
         Ok(true)
+    }
+
+    /// Weighs the channels by what is left now, and fits again.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn settle(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
+        self.windows.weigh(&self.x, &self.noise)?;
+        let fit = self
+            .windows
+            .fit(&self.x, ITERATIONS, &mut |i| watch.fit(i))?;
+        self.chosen = self
+            .built
+            .values(&self.windows.problem, &fit.x, &self.chosen);
+        (self.x, self.cost) = (fit.x, fit.cost);
+        Ok(())
     }
 
     /// Takes out the effects that are no longer needed; whether there was one.
@@ -310,6 +357,7 @@ impl<'a> Search<'a> {
         let values = built.values(&windows.problem, &fit.x, chosen);
         Ok(Some(Fitted {
             chosen: values,
+            written: chosen.to_vec(),
             built,
             x: fit.x,
             cost: fit.cost,
@@ -319,7 +367,7 @@ impl<'a> Search<'a> {
 
     /// Makes a fitted model the present one.
     pub(super) fn take(&mut self, fitted: Fitted) {
-        self.chosen = fitted.chosen;
+        (self.chosen, self.written) = (fitted.chosen, fitted.written);
         self.built = fitted.built;
         self.windows = fitted.windows;
         self.x = fitted.x;
@@ -343,6 +391,8 @@ pub(super) fn tests(screen: &Screen) -> usize {
 /// A model with effects, fitted.
 pub(super) struct Fitted {
     pub chosen: Vec<Chosen>,
+    /// as it was written
+    pub written: Vec<Chosen>,
     pub built: Built,
     pub x: Vec<f64>,
     pub cost: f64,

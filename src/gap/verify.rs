@@ -31,6 +31,20 @@ pub(super) struct Machine {
     pub parameters: Parameters,
 }
 
+/// The protocol, with forces compared as far as windows of `window_s` resolve them where it does not say so: beyond that
+/// they are noise of differences.
+pub(super) fn protocol(settings: &Settings, window_s: f64) -> Settings {
+    let given = settings.cutoff_hz.or(settings.force_cutoff_hz);
+    let force_cutoff_hz = match given {
+        None => Some(2.0 / window_s),
+        Some(_) => settings.force_cutoff_hz,
+    };
+    Settings {
+        force_cutoff_hz,
+        ..settings.clone()
+    }
+}
+
 /// The gap of both models on `recordings`.
 ///
 /// # Errors

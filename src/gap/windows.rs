@@ -13,19 +13,14 @@
 //! | --- | --- |
 //! | s, ŝ, W | samples, predictions, one over `Channel::sigma` |
 //! | s₀, x | first state of the window, parameters |
-//! | r̃ | [`Row::residual`] |
+//! | r̃ | [`super::linear::Row::residual`] |
 
-use nalgebra::{DMatrix, DVector};
-
+use super::coarse;
 use crate::mujoco::Model;
 use crate::sysid::SysidError;
-use crate::sysid::fit::{Fit, Iteration, Start};
 use crate::sysid::holdout::hold;
 use crate::sysid::problem::{Problem, Sample, Stage, Trial};
-use crate::sysid::shooting::columns::Point;
-use crate::sysid::shooting::simulate::{Pool, Simulated};
-use crate::sysid::shooting::window::{Placed, State, Window, place};
-use crate::sysid::shooting::{self, ShootingSettings};
+use crate::sysid::shooting::window::{State, Window};
 use crate::sysid::start;
 
 /// Lengths to choose from, s.
@@ -33,11 +28,9 @@ const LENGTHS_S: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 /// Noise of a window's acceleration that is small enough, as a part of what the motion has.
 const FINE: f64 = 0.02;
 /// Samples of a channel in a window that are kept; more say the same again.
-const SAMPLES: usize = 48;
+const SAMPLES: usize = 96;
 /// Least steps of a window.
 const LEAST_STEPS: usize = 4;
-/// Part of a column's length that must be its own for it to count.
-const OWN: f64 = 1e-6;
 
 /// All windows of some recordings.
 #[derive(Debug, Clone)]
@@ -48,43 +41,12 @@ pub(super) struct Windows {
     pub origin: Vec<(usize, f64)>,
     /// (knots × nq) of each window
     pub trajectories: Vec<Vec<f64>>,
+    /// first state of each window
+    pub states: Vec<State>,
     /// s
     pub length_s: f64,
-}
-
-/// A window's rows: whitened, what its first state explains taken out.
-#[derive(Debug, Clone)]
-pub(super) struct Row {
-    /// (rows × rank) orthonormal
-    basis: DMatrix<f64>,
-    /// (rows) predictions
-    predicted: Vec<f64>,
-    /// (rows) of a prediction in its row
-    factor: Vec<f64>,
-    /// (rows) index of its channel
-    pub channel: Vec<usize>,
-    /// (rows × free parameters)
-    pub parameters: DMatrix<f64>,
-    /// (rows)
-    pub residual: DVector<f64>,
-}
-
-/// The linearised problem.
-pub(super) struct Linear {
-    windows: Vec<Window>,
-    placed: Vec<Vec<Placed>>,
-    states: Vec<State>,
-    /// of each window
-    pub rows: Vec<Row>,
-}
-
-/// What a change of the model does to the rows of every window, and its squared length before projection.
-#[derive(Debug, Clone)]
-pub(super) struct Column {
-    /// per window (rows)
-    pub parts: Vec<DVector<f64>>,
-    /// Σ of squares with the first states held
-    pub raw: f64,
+    /// steps of the model that derivatives take at once, see [`super::coarse`]
+    pub factor: usize,
 }
 
 /// The shortest length whose accelerations are not noise.
@@ -146,6 +108,7 @@ impl Windows {
             n.clamp(1, (steps / LEAST_STEPS).max(1))
         };
         let total: usize = whole.trials.iter().map(count).sum();
+        let align = coarse::aligned((length_s / h).round() as usize);
         let stride = total.div_ceil(most.max(1));
         let mut problem = Problem {
             trials: Vec::new(),
@@ -157,7 +120,8 @@ impl Windows {
             let motion = start::trajectory(whole, trial, x)?;
             let (n, steps) = (count(trial), trial.n_knots - 1);
             for w in 0..n {
-                let (first, last) = (w * steps / n, (w + 1) * steps / n);
+                let edge = |w: usize| w * steps / n / align * align;
+                let (first, last) = (edge(w), edge(w + 1));
                 seen += 1;
                 if seen % stride != 0 {
                     continue;
@@ -171,12 +135,36 @@ impl Windows {
                 trajectories.push(motion[first * nq..(last + 1) * nq].to_vec());
             }
         }
-        Ok(Self {
+        let mut cut = Self {
             problem,
             origin,
             trajectories,
+            states: Vec::new(),
             length_s,
-        })
+            factor: 1,
+        };
+        cut.states = (cut.windows().iter().zip(&cut.trajectories))
+            .map(|(w, t)| State::on(&cut.problem, w, t))
+            .collect::<Result<_, _>>()?;
+        Ok(cut)
+    }
+
+    /// Only the windows `kept`.
+    pub(super) fn only(&self, kept: &[usize]) -> Self {
+        Self {
+            problem: Problem {
+                trials: kept
+                    .iter()
+                    .map(|&i| self.problem.trials[i].clone())
+                    .collect(),
+                ..self.problem.clone()
+            },
+            origin: kept.iter().map(|&i| self.origin[i]).collect(),
+            trajectories: kept.iter().map(|&i| self.trajectories[i].clone()).collect(),
+            states: kept.iter().map(|&i| self.states[i].clone()).collect(),
+            length_s: self.length_s,
+            factor: self.factor,
+        }
     }
 
     /// Number of windows.
@@ -184,7 +172,7 @@ impl Windows {
         self.problem.trials.len()
     }
 
-    fn windows(&self) -> Vec<Window> {
+    pub(super) fn windows(&self) -> Vec<Window> {
         let window = |(trial, t): (usize, &Trial)| Window {
             trial,
             first: 0,
@@ -193,139 +181,6 @@ impl Windows {
             whole: true,
         };
         self.problem.trials.iter().enumerate().map(window).collect()
-    }
-
-    fn states(&self, windows: &[Window]) -> Result<Vec<State>, SysidError> {
-        let pairs = windows.iter().zip(&self.trajectories);
-        pairs.map(|(w, t)| State::on(&self.problem, w, t)).collect()
-    }
-
-    /// Estimates the parameters and first states from `x`.
-    ///
-    /// # Errors
-    /// Nothing can be simulated; the engine refuses a number.
-    pub(super) fn fit(
-        &mut self,
-        x: &[f64],
-        max_iterations: usize,
-        watch: &mut dyn FnMut(&Iteration) -> bool,
-    ) -> Result<Fit, SysidError> {
-        self.drop_diverging(x)?;
-        let settings = ShootingSettings {
-            window_s: f64::INFINITY,
-            max_iterations,
-            tolerance: 1e-4,
-            ..ShootingSettings::default()
-        };
-        let from = Start {
-            x: x.to_vec(),
-            trajectories: Some(self.trajectories.clone()),
-            force_scale: None,
-        };
-        let fit = shooting::solve(&self.problem, &settings, &from, watch)?;
-        self.trajectories.clone_from(&fit.trajectories);
-        Ok(fit)
-    }
-
-    /// Leaves out the windows that cannot be simulated at parameters `x`.
-    fn drop_diverging(&mut self, x: &[f64]) -> Result<(), SysidError> {
-        let windows = self.windows();
-        let states = self.states(&windows)?;
-        let placed = place(&self.problem, &windows, x);
-        let pool = Pool::default();
-        let point = Point {
-            problem: &self.problem,
-            windows: &windows,
-            placed: &placed,
-            x,
-            states: &states,
-            free_states: true,
-            pool: &pool,
-        };
-        let sound: Vec<bool> = point.simulate()?.iter().map(Option::is_some).collect();
-        if sound.iter().all(|s| *s) {
-            return Ok(());
-        }
-        if sound.iter().all(|s| !s) {
-            let reason = "the simulation diverges from the measured motion everywhere: check units and signs".into();
-            return Err(SysidError::Setting { reason });
-        }
-        let keep = |i: &usize| sound[*i];
-        let kept: Vec<usize> = (0..sound.len()).filter(keep).collect();
-        self.problem.trials = kept
-            .iter()
-            .map(|&i| self.problem.trials[i].clone())
-            .collect();
-        self.origin = kept.iter().map(|&i| self.origin[i]).collect();
-        self.trajectories = kept.iter().map(|&i| self.trajectories[i].clone()).collect();
-        Ok(())
-    }
-
-    /// The linearised problem at parameters `x` and the present motion.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn linearise(&self, x: &[f64]) -> Result<Linear, SysidError> {
-        let windows = self.windows();
-        let placed = place(&self.problem, &windows, x);
-        let states = self.states(&windows)?;
-        let pool = Pool::default();
-        let point = Point {
-            problem: &self.problem,
-            windows: &windows,
-            placed: &placed,
-            x,
-            states: &states,
-            free_states: true,
-            pool: &pool,
-        };
-        let base: Option<Vec<Simulated>> = point.simulate()?.into_iter().collect();
-        let base = base.ok_or_else(|| SysidError::Setting {
-            reason: "the fitted model does not follow its own motion".into(),
-        })?;
-        let columns = point.columns(&base)?;
-        let free = self.problem.free_values(x);
-        let mut rows = Vec::with_capacity(windows.len());
-        for (w, (columns, simulated)) in columns.iter().zip(&base).enumerate() {
-            let linear = point.rows(w, simulated, columns, None)?;
-            let (n_state, np) = (2 * self.problem.model.nv(), x.len());
-            let n = placed[w].len();
-            let at = |i: usize, j: usize| linear.values[i * linear.width + j];
-            let basis = orthonormal(&DMatrix::from_fn(n, n_state, at));
-            let mut parameters = DMatrix::from_fn(n, np, |i, j| at(i, 2 * n_state + j));
-            let mut residual = DVector::from_fn(n, |i, _| at(i, linear.width - 1));
-            parameters -= &basis * basis.tr_mul(&parameters);
-            residual -= &basis * basis.tr_mul(&residual);
-            let samples = &self.problem.trials[w].samples;
-            let channel: Vec<usize> = placed[w]
-                .iter()
-                .map(|p| samples[p.sample].channel)
-                .collect();
-            let predicted: Vec<f64> = (simulated.samples(&self.problem, &windows[w], &placed[w]))
-                .map(|(z, _)| z)
-                .collect();
-            let factor = placed[w].iter().zip(&predicted).map(|(p, z)| {
-                let s = &samples[p.sample];
-                let c = &self.problem.channels[s.channel];
-                let (gain, bias) = (c.gain.value(&free), c.bias.value(&free));
-                let weight = c.norm.weight((gain * z + bias - s.value) / c.sigma).sqrt();
-                weight * gain / c.sigma
-            });
-            rows.push(Row {
-                factor: factor.collect(),
-                basis,
-                predicted,
-                channel,
-                parameters,
-                residual,
-            });
-        }
-        Ok(Linear {
-            windows,
-            placed,
-            states,
-            rows,
-        })
     }
 
     /// The problem with another model of the same state, parameters held at `x`; `rules` of that model, those of the
@@ -374,77 +229,6 @@ fn part(whole: &Problem, trial: &Trial, first: usize, last: usize) -> Trial {
         controls: controls.collect(),
         samples,
         recording: std::sync::Arc::clone(&trial.recording),
-    }
-}
-
-/// An orthonormal basis of the space of the columns, by Gram-Schmidt done twice.
-fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
-    let mut kept: Vec<DVector<f64>> = Vec::new();
-    for column in columns.column_iter() {
-        let mut own = DVector::from(column);
-        let before = own.norm();
-        for _ in 0..2 {
-            for k in &kept {
-                let along = k.dot(&own);
-                own.axpy(-along, k, 1.0);
-            }
-        }
-        let after = own.norm();
-        if after > OWN * before && after > 0.0 {
-            kept.push(own / after);
-        }
-    }
-    if kept.is_empty() {
-        DMatrix::zeros(columns.nrows(), 0)
-    } else {
-        DMatrix::from_columns(&kept)
-    }
-}
-
-impl Linear {
-    /// What another model makes of the same windows, per unit of `size`; `held` has no free parameter. Only every
-    /// `stride`-th window is simulated, the others are 0.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn column(
-        &self,
-        held: &Problem,
-        size: f64,
-        stride: usize,
-    ) -> Result<Column, SysidError> {
-        let some: Vec<usize> = (0..self.windows.len()).step_by(stride).collect();
-        let pick = |i: &usize| self.windows[*i].clone();
-        let windows: Vec<Window> = some.iter().map(pick).collect();
-        let placed: Vec<Vec<Placed>> = some.iter().map(|i| self.placed[*i].clone()).collect();
-        let states: Vec<State> = some.iter().map(|i| self.states[*i].clone()).collect();
-        let pool = Pool::default();
-        let point = Point {
-            problem: held,
-            windows: &windows,
-            placed: &placed,
-            x: &[],
-            states: &states,
-            free_states: true,
-            pool: &pool,
-        };
-        let mut parts: Vec<DVector<f64>> = (self.rows.iter())
-            .map(|row| DVector::zeros(row.residual.len()))
-            .collect();
-        let mut raw = 0.0;
-        for (k, simulated) in point.simulate()?.into_iter().enumerate() {
-            let (w, row) = (some[k], &self.rows[some[k]]);
-            // where it diverges nothing can be said
-            let Some(simulated) = simulated else { continue };
-            let moved = simulated.samples(held, &windows[k], &placed[k]);
-            for (i, (z, _)) in moved.enumerate() {
-                parts[w][i] = row.factor[i] * (z - row.predicted[i]) / size;
-            }
-            raw += parts[w].norm_squared();
-            let along = row.basis.tr_mul(&parts[w]);
-            parts[w] -= &row.basis * along;
-        }
-        Ok(Column { parts, raw })
     }
 }
 

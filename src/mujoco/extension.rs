@@ -148,6 +148,20 @@ impl Data {
         }
     }
 
+    /// Lets the extension take the command in ctrl for one that was given before, with nothing else having happened.
+    ///
+    /// # Errors
+    /// None today.
+    pub fn advance_command(&mut self) -> Result<()> {
+        self.with_extension(|data, x| {
+            x.next.copy_from_slice(&x.memory);
+            x.effective.copy_from_slice(data.ctrl());
+            (x.extension).command(data, &x.memory, &mut x.effective, &mut x.next);
+            x.memory.copy_from_slice(&x.next);
+            Ok(())
+        })
+    }
+
     /// Position and velocity of a hinge or slide as its encoder shows them; without an extension the true ones.
     ///
     /// # Panics

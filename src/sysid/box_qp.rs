@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 /// argmin ½ xᵀ N x − bᵀ x within bounds, by active sets: components that hit a bound are held there.
-pub(super) fn solve_in_box(
+pub(crate) fn solve_in_box(
     normal: &DMatrix<f64>,
     right: &DVector<f64>,
     low: &[f64],

@@ -22,7 +22,7 @@
 
 mod arrow;
 mod backward;
-mod box_qp;
+pub(crate) mod box_qp;
 pub mod check;
 mod conclude;
 pub mod design;

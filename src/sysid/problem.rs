@@ -307,18 +307,29 @@ impl Problem {
 
     /// Controls of every knot of a trial (`n_knots` × nu): means of the command over a step, see [`CommandTiming`].
     pub fn controls(&self, trial: &Trial, x: &[f64]) -> Vec<f64> {
+        self.controls_from(trial, x, 0, trial.n_knots)
+    }
+
+    /// The same of `n` knots from `first`, which may lie before the trial's first (n × nu).
+    pub(crate) fn controls_from(
+        &self,
+        trial: &Trial,
+        x: &[f64],
+        first: isize,
+        n: usize,
+    ) -> Vec<f64> {
         let (h, nu) = (self.model.timestep(), self.model.nu());
         let free = self.free_values(x);
         let early = match self.command {
             CommandTiming::Centred => 0.5 * h,
             CommandTiming::Held => 0.0,
         };
-        let mut out = vec![0.0; trial.n_knots * nu];
+        let mut out = vec![0.0; n * nu];
         for (i, series) in trial.controls.iter().enumerate() {
             let delay = self.command_delay[i].value(&free);
             let mut at = 0;
-            for k in 0..trial.n_knots {
-                let from = k as f64 * h - delay - early;
+            for k in 0..n {
+                let from = (first as f64 + k as f64) * h - delay - early;
                 out[k * nu + i] = mean_of_held(series, from, from + h, &mut at);
             }
         }

@@ -24,7 +24,8 @@ use crate::sysid::problem::ProblemConfig;
 ///
 /// Fits the parameters, looks where model and recordings still disagree, tests every effect of the catalogue at every
 /// place, adds those that the recordings ask for, and shows the gap on held-out recordings. Writes into DIR: gap.json,
-/// report.html (works without network), model.xml (the model file with the effects) and model.diff.
+/// report.html (works without network), model.xml (the model file with the effects) and model.diff. A run that was
+/// stopped or killed goes on from its finished stages, which are in DIR/stages until the end.
 ///
 /// Exit code 0: effects were found, or nothing is missing; 1: something is missing that no effect explains. See
 /// docs/gap.md.
@@ -86,6 +87,9 @@ struct SearchArgs {
     /// Most effects
     #[arg(long, value_name = "N", default_value = "4", value_parser = count)]
     max_effects: usize,
+    /// Look for these effects only [default: all of the catalogue]
+    #[arg(long, value_name = "EFFECT", num_args = 1..)]
+    effects: Vec<String>,
     /// Seed of what is drawn
     #[arg(long, value_name = "S", default_value = "0")]
     seed: u64,
@@ -124,16 +128,19 @@ impl SearchArgs {
             max_effects: self.max_effects,
             seed: self.seed,
             window_s: self.window,
+            effects: self.effects.clone(),
             ..Options::default()
         };
+        let mut stages = write::Stages::new(&folder, &gap::key(&input, &options))?;
         let watch = Progress::new();
-        let outcome = gap::run(&input, &options, &mut |stage, note, part| {
+        let outcome = gap::resume(&input, &options, &mut stages, &mut |stage, note, part| {
             watch.see(stage, note, part)
         });
         watch.bar.finish_and_clear();
         let outcome = outcome?;
         let title = format!("What {} lacks", path.display());
         let written = folder.write(&title, &model, &outcome)?;
+        stages.finish()?;
         if self.json {
             println!("{}", written.json);
         } else {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::cli::CliError;
 use crate::gap::effect::ModelFile;
-use crate::gap::{Outcome, figures};
+use crate::gap::{Keeper, Outcome, figures};
 use crate::run_dir;
 
 /// Where results go; made before the work begins.
@@ -52,6 +52,44 @@ impl Folder {
             report,
             json,
         })
+    }
+}
+
+/// Finished stages, in the folder `stages` of the results.
+pub(super) struct Stages {
+    path: PathBuf,
+}
+
+impl Stages {
+    /// Those of an earlier run of the same `key`; others are thrown away.
+    pub(super) fn new(folder: &Folder, key: &str) -> Result<Self, CliError> {
+        let path = folder.path.join("stages");
+        let file = path.join("key");
+        if fs::read_to_string(&file).is_ok_and(|found| found == key) {
+            return Ok(Self { path });
+        }
+        if path.exists() {
+            fs::remove_dir_all(&path).map_err(|error| refuse(&path, &error))?;
+        }
+        fs::create_dir_all(&path).map_err(|error| refuse(&path, &error))?;
+        run_dir::write_atomic(&file, key.as_bytes())?;
+        Ok(Self { path })
+    }
+
+    /// Throws them away: the results are written.
+    pub(super) fn finish(self) -> Result<(), CliError> {
+        fs::remove_dir_all(&self.path).map_err(|error| refuse(&self.path, &error))
+    }
+}
+
+impl Keeper for Stages {
+    fn load(&mut self, stage: &str) -> Option<Vec<u8>> {
+        fs::read(self.path.join(stage)).ok()
+    }
+
+    fn save(&mut self, stage: &str, bytes: &[u8]) {
+        // what cannot be kept is done again
+        let _ = run_dir::write_atomic(&self.path.join(stage), bytes);
     }
 }
 

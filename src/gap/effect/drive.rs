@@ -3,7 +3,8 @@
 use super::joint::{PERIODS, gear};
 use super::place::{N_PRM, Site, joint_motors, motors};
 use super::{
-    About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Role, Shows, Sign,
+    About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Role,
+    Shows, Sign,
 };
 use crate::mjcf::structure::Change;
 use crate::mujoco::{Model, ObjectKind};
@@ -269,5 +270,9 @@ impl Effect for TorqueRipple {
             &site.place.name,
             values,
         ))
+    }
+
+    fn periodic(&self) -> Option<Periodic> {
+        Some(Periodic::Command)
     }
 }

@@ -1,7 +1,9 @@
 //! Springs, offsets, rotors and stops of joints.
 
 use super::place::{N_PRM, Site, is_motor, joint_of, joints};
-use super::{About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows};
+use super::{
+    About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Shows,
+};
 use crate::mjcf::structure::Change;
 use crate::mujoco::{Model, ObjectKind};
 
@@ -176,5 +178,9 @@ impl Effect for Cogging {
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
         Ok(Expression::supplement("cogging", &site.place.name, values))
+    }
+
+    fn periodic(&self) -> Option<Periodic> {
+        Some(Periodic::Torque)
     }
 }

@@ -85,6 +85,21 @@ pub trait Effect: std::fmt::Debug + Sync {
     /// # Errors
     /// The reason why it cannot be said there.
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String>;
+
+    /// What it is proportional to, if it is a sine and a cosine of the joint's angle whose period is its last parameter:
+    /// then the best period is found without a simulation for each.
+    fn periodic(&self) -> Option<Periodic> {
+        None
+    }
+}
+
+/// What a periodic torque is proportional to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Periodic {
+    /// nothing
+    Torque,
+    /// the command of the motor
+    Command,
 }
 
 /// Every effect; a new one is a type in a file of this folder and a line here.

@@ -2,13 +2,15 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 use crate::mujoco::{Measures, Model, ObjectKind};
 
 /// Numbers a row of `actuator_gainprm` and `actuator_biasprm`.
 pub(super) const N_PRM: usize = 10;
 
 /// What a place is a name of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PlaceKind {
     /// everything
     World,
@@ -27,7 +29,7 @@ pub enum PlaceKind {
 }
 
 /// One place of a model.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Place {
     /// what the name names
     pub kind: PlaceKind,

@@ -55,6 +55,15 @@ impl Point<'_> {
         &self,
         which: &[usize],
     ) -> Result<Vec<Option<Simulated>>, SysidError> {
+        self.simulate_pushed(which, &|_, _, _| ())
+    }
+
+    /// The same, with forces at the degrees of freedom that `push` sets: of (window, knot in it, forces (nv)).
+    pub(crate) fn simulate_pushed(
+        &self,
+        which: &[usize],
+        push: &(dyn Fn(usize, usize, &mut [f64]) + Sync),
+    ) -> Result<Vec<Option<Simulated>>, SysidError> {
         let controls = self.controls(self.x);
         let size = which.len().div_ceil(8 * rayon::current_num_threads());
         let parts: Vec<Result<Vec<Option<Simulated>>, SysidError>> = (which
@@ -64,7 +73,10 @@ impl Point<'_> {
                 (part.iter())
                     .map(|&w| {
                         let window = &self.windows[w];
-                        simulator.run(window, &self.states[w], &controls[window.trial])
+                        let controls = &controls[window.trial];
+                        simulator.run_with(window, &self.states[w], controls, &mut |k, force| {
+                            push(w, k, force);
+                        })
                     })
                     .collect()
             })

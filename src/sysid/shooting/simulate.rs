@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::window::{Placed, State, Window};
 use crate::mujoco::{Data, Model};
+use crate::supplement::MAX_DELAY_S;
 use crate::sysid::SysidError;
 use crate::sysid::problem::Problem;
 
@@ -62,6 +63,7 @@ impl Pool {
 /// A simulation with parameters of its own.
 pub(crate) struct Simulator<'a> {
     problem: &'a Problem,
+    x: &'a [f64],
     data: Data,
 }
 
@@ -70,12 +72,12 @@ impl<'a> Simulator<'a> {
     pub(crate) fn with<R>(
         problem: &'a Problem,
         pool: &Pool,
-        x: &[f64],
+        x: &'a [f64],
         run: impl FnOnce(&mut Self) -> Result<R, SysidError>,
     ) -> Result<R, SysidError> {
         let mut data = pool.take(problem)?;
         problem.parameters.apply(&problem.model, x, &mut data)?;
-        let mut simulator = Self { problem, data };
+        let mut simulator = Self { problem, x, data };
         let result = run(&mut simulator)?;
         pool.put(simulator.data);
         Ok(result)
@@ -88,7 +90,18 @@ impl<'a> Simulator<'a> {
         state: &State,
         controls: &[f64],
     ) -> Result<Option<Simulated>, SysidError> {
-        let Self { problem, data } = self;
+        self.run_with(window, state, controls, &mut |_, _| ())
+    }
+
+    /// The same, with forces at the degrees of freedom (nv) that `push` sets at each knot, counted from the window's first.
+    pub(crate) fn run_with(
+        &mut self,
+        window: &Window,
+        state: &State,
+        controls: &[f64],
+        push: &mut dyn FnMut(usize, &mut [f64]),
+    ) -> Result<Option<Simulated>, SysidError> {
+        let Self { problem, x, data } = self;
         let (nq, nu) = (problem.model.nq(), problem.model.nu());
         let n_channels = problem.channels.len();
         let mut sensors = vec![0.0; window.len() * n_channels];
@@ -97,6 +110,16 @@ impl<'a> Simulator<'a> {
         data.reset();
         data.qpos_mut().copy_from_slice(&state.qpos);
         data.qvel_mut().copy_from_slice(&state.qvel);
+        if !data.memory().is_empty() && nu > 0 {
+            // commands of before the window are still on their way
+            let n = (MAX_DELAY_S / problem.model.timestep()).ceil() as usize;
+            let trial = &problem.trials[window.trial];
+            let first = window.first as isize - n as isize;
+            for row in problem.controls_from(trial, x, first, n).chunks_exact(nu) {
+                data.ctrl_mut().copy_from_slice(row);
+                data.advance_command()?;
+            }
+        }
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
             data.ctrl_mut()
                 .copy_from_slice(&controls[k * nu..(k + 1) * nu]);
@@ -105,6 +128,7 @@ impl<'a> Simulator<'a> {
                 end.qpos.copy_from_slice(data.qpos());
                 end.qvel.copy_from_slice(data.qvel());
             }
+            push(k - window.first, data.qfrc_applied_mut());
             self::read(problem, &problem.model, data, row, false);
             // the step leaves the sensors of its beginning
             data.step()?;

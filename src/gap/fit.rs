@@ -1,0 +1,348 @@
+//! Parameters and first states of all windows: Gauss-Newton with derivatives that serve for several steps.
+//!
+//! ```text
+//! dx = −(Σ J̃ᵀJ̃ + P + λ D)⁻¹ (Σ J̃ᵀ r̃ + P (x − x̄))        ds = −(RᵀR + λ D)⁻¹ Rᵀ (Qᵀ r + Qᵀ J dx)
+//! ```
+//!
+//! with P the precision of priors, bounds kept, and Q, R, J̃, r̃ of [`super::linear`]. r is simulated exactly after each
+//! step; J and Q, which cost a simulation an unknown, are only where the cost does not fall as they foretell. Windows
+//! know nothing of each other: each takes the part of its ds that suits it.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::linear::Linear;
+use super::windows::Windows;
+use crate::sysid::SysidError;
+use crate::sysid::box_qp::solve_in_box;
+use crate::sysid::fit::Iteration;
+use crate::sysid::parameter::{Parameters, Scale};
+use crate::sysid::shooting::columns::Point;
+use crate::sysid::shooting::simulate::Pool;
+use crate::sysid::shooting::window::{State, place};
+
+const FIRST_DAMPING: f64 = 1e-4;
+const LEAST_DAMPING: f64 = 1e-9;
+const MOST_DAMPING: f64 = 1e4;
+/// Fall of the cost that is not worth a step: a fraction of what a parameter's standard deviation makes.
+const LEAST_FALL: f64 = 0.02;
+/// The same as a part of the cost.
+const LEAST_PART: f64 = 1e-6;
+/// Part of the foretold fall from which derivatives go on serving.
+const AS_FORETOLD: f64 = 0.6;
+/// Largest change of x on a log scale in one step.
+const LOG_STEP: f64 = 1.0;
+/// Parts of the change of a window's state that are tried.
+const PARTS: [f64; 3] = [1.0, 0.3, 0.0];
+/// Information that a parameter is taken to have at least.
+const LEAST_INFORMATION: f64 = 1e-12;
+
+/// Where a fit ended.
+#[derive(Debug, Clone)]
+pub(super) struct Fitted {
+    /// free parameters
+    pub x: Vec<f64>,
+    /// of residuals and priors
+    pub cost: f64,
+}
+
+/// A window simulated exactly.
+#[derive(Debug, Clone)]
+pub(super) struct Followed {
+    pub state: State,
+    /// (rows) in standard deviations
+    pub residual: Vec<f64>,
+    /// (knots × nq)
+    qpos: Vec<f64>,
+    cost: f64,
+    /// samples of the rows
+    pub samples: Vec<usize>,
+}
+
+impl Windows {
+    /// Every window from its first state; nothing if one breaks down.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn simulate(
+        &self,
+        x: &[f64],
+        states: &[State],
+    ) -> Result<Option<Vec<Followed>>, SysidError> {
+        let all: Vec<usize> = (0..self.len()).collect();
+        let followed = self.simulate_some(x, states, &all)?;
+        Ok(followed.into_iter().collect())
+    }
+
+    fn simulate_some(
+        &self,
+        x: &[f64],
+        states: &[State],
+        some: &[usize],
+    ) -> Result<Vec<Option<Followed>>, SysidError> {
+        let windows = self.windows();
+        let placed = place(&self.problem, &windows, x);
+        let pool = Pool::default();
+        let point = Point {
+            problem: &self.problem,
+            windows: &windows,
+            placed: &placed,
+            x,
+            states,
+            free_states: true,
+            pool: &pool,
+        };
+        let free = self.problem.free_values(x);
+        let simulated = point.simulate_some(some)?;
+        let followed = some.iter().zip(simulated).map(|(&w, simulated)| {
+            let simulated = simulated?;
+            let samples = &self.problem.trials[w].samples;
+            let mut cost = 0.0;
+            let residual = (simulated.samples(&self.problem, &windows[w], &placed[w]))
+                .zip(&placed[w])
+                .map(|((z, _), p)| {
+                    let s = &samples[p.sample];
+                    let c = &self.problem.channels[s.channel];
+                    let r = (c.gain.value(&free) * z + c.bias.value(&free) - s.value) / c.sigma;
+                    cost += c.norm.cost(r);
+                    r
+                })
+                .collect();
+            Some(Followed {
+                state: states[w].clone(),
+                residual,
+                qpos: simulated.qpos,
+                cost,
+                samples: placed[w].iter().map(|p| p.sample).collect(),
+            })
+        });
+        Ok(followed.collect())
+    }
+
+    /// Estimates the parameters and first states from `x`.
+    ///
+    /// # Errors
+    /// Nothing can be simulated; the engine refuses a number.
+    pub(super) fn fit(
+        &mut self,
+        x: &[f64],
+        max_iterations: usize,
+        watch: &mut dyn FnMut(&Iteration) -> bool,
+    ) -> Result<Fitted, SysidError> {
+        let mut here = self.followed(x)?;
+        let mut x = x.to_vec();
+        let mut cost = self.cost(&x, &here);
+        let mut damping = FIRST_DAMPING;
+        let mut linear: Option<(Linear, DMatrix<f64>)> = None;
+        let mut fresh = true; // whether derivatives are of the present point
+        for _ in 0..max_iterations {
+            fresh |= linear.is_none();
+            let (derivatives, normal) = if let Some(known) = linear.take() {
+                known
+            } else {
+                let found = self.linearise(&x)?;
+                let normal = information(&found, x.len());
+                (found, normal)
+            };
+            let step = self.step(&derivatives, &normal, &x, &here, damping);
+            if step.fall < LEAST_FALL.max(LEAST_PART * cost) {
+                if fresh {
+                    break;
+                }
+                continue; // with new derivatives there may be more
+            }
+            let to: Vec<f64> = x.iter().zip(&step.dx).map(|(x, d)| x + d).collect();
+            let taken = self.best(&to, &here, &step.ds)?;
+            let new_cost = taken.as_ref().map(|t| self.cost(&to, t));
+            let (Some(taken), Some(new_cost)) = (taken, new_cost.filter(|c| *c < cost)) else {
+                if fresh {
+                    damping *= 30.0;
+                    linear = Some((derivatives, normal));
+                }
+                if damping > MOST_DAMPING {
+                    break;
+                }
+                continue;
+            };
+            let same = (here.iter().zip(&taken)).all(|(a, b)| a.samples == b.samples);
+            if same && cost - new_cost > AS_FORETOLD * step.fall {
+                linear = Some((derivatives, normal));
+            }
+            fresh = false;
+            let length = step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
+            (x, here, cost) = (to, taken, new_cost);
+            self.take(&here);
+            let record = Iteration {
+                level: 0.0,
+                cost,
+                damping,
+                step: length,
+                x: x.clone(),
+            };
+            damping = (damping * 0.1).max(LEAST_DAMPING);
+            if !watch(&record) {
+                break;
+            }
+        }
+        Ok(Fitted { x, cost })
+    }
+
+    /// Every window at `x`, without those that break down there.
+    ///
+    /// # Errors
+    /// None can be simulated; the engine refuses a number.
+    pub(super) fn followed(&mut self, x: &[f64]) -> Result<Vec<Followed>, SysidError> {
+        let all: Vec<usize> = (0..self.len()).collect();
+        let found = self.simulate_some(x, &self.states, &all)?;
+        let sound: Vec<usize> = all.into_iter().filter(|&i| found[i].is_some()).collect();
+        if sound.is_empty() {
+            let reason = "the simulation diverges from the measured motion everywhere: check units and signs".into();
+            return Err(SysidError::Setting { reason });
+        }
+        if sound.len() < self.len() {
+            *self = self.only(&sound);
+        }
+        let here: Vec<Followed> = found.into_iter().flatten().collect();
+        self.take(&here);
+        Ok(here)
+    }
+
+    fn take(&mut self, here: &[Followed]) {
+        self.states = here.iter().map(|f| f.state.clone()).collect();
+        self.trajectories = here.iter().map(|f| f.qpos.clone()).collect();
+    }
+
+    fn cost(&self, x: &[f64], here: &[Followed]) -> f64 {
+        here.iter().map(|f| f.cost).sum::<f64>() + self.problem.parameters.prior_cost(x)
+    }
+
+    /// The windows at parameters `x`, each after the part of its change that suits it; nothing if one breaks down.
+    fn best(
+        &self,
+        x: &[f64],
+        here: &[Followed],
+        changes: &[DVector<f64>],
+    ) -> Result<Option<Vec<Followed>>, SysidError> {
+        let mut best: Vec<Option<Followed>> = vec![None; self.len()];
+        let mut left: Vec<usize> = (0..self.len()).collect();
+        for part in PARTS {
+            let states = (here.iter().zip(changes))
+                .map(|(f, ds)| f.state.moved(&self.problem, (ds * part).as_slice()))
+                .collect::<Result<Vec<_>, _>>()?;
+            // a step may leave what the engine accepts: then it is none
+            let Ok(found) = self.simulate_some(x, &states, &left) else {
+                return Ok(None);
+            };
+            for (&w, found) in left.iter().zip(found) {
+                if let Some(found) = found
+                    && best[w].as_ref().is_none_or(|b| found.cost < b.cost)
+                {
+                    best[w] = Some(found);
+                }
+            }
+            left.retain(|&w| best[w].as_ref().is_none_or(|b| b.cost > here[w].cost));
+            if left.is_empty() {
+                break;
+            }
+        }
+        Ok(best.into_iter().collect())
+    }
+
+    fn step(
+        &self,
+        linear: &Linear,
+        normal: &DMatrix<f64>,
+        x: &[f64],
+        here: &[Followed],
+        damping: f64,
+    ) -> Step {
+        let np = x.len();
+        let parameters = &self.problem.parameters;
+        let mut right = DVector::zeros(np);
+        let mut split = Vec::with_capacity(here.len());
+        for (row, followed) in linear.rows.iter().zip(here) {
+            let r = DVector::from_iterator(
+                followed.residual.len(),
+                followed
+                    .residual
+                    .iter()
+                    .zip(&row.weight)
+                    .map(|(r, w)| r * w),
+            );
+            let along = row.basis.tr_mul(&r);
+            right -= row.parameters.tr_mul(&r);
+            split.push((r, along));
+        }
+        let mut normal = normal.clone();
+        let (low, high) = box_of(parameters, x, &mut normal, &mut right, damping);
+        let dx = solve_in_box(&normal, &right, &low, &high);
+        let change = DVector::from_column_slice(&dx);
+        let to: Vec<f64> = x.iter().zip(&dx).map(|(x, d)| x + d).collect();
+        let mut fall = parameters.prior_cost(x) - parameters.prior_cost(&to);
+        let mut ds = Vec::with_capacity(here.len());
+        for (row, (r, along)) in linear.rows.iter().zip(&split) {
+            let wanted = along + &row.along * &change;
+            let own = damped(&row.triangle, &wanted, damping);
+            let left = r - &row.basis * along + &row.parameters * &change;
+            let rest = &wanted + &row.triangle * &own;
+            fall += 0.5 * (r.norm_squared() - left.norm_squared() - rest.norm_squared());
+            ds.push(own);
+        }
+        Step { dx, ds, fall }
+    }
+}
+
+struct Step {
+    dx: Vec<f64>,
+    /// per window (2 nv)
+    ds: Vec<DVector<f64>>,
+    /// of the cost, by the linearised problem
+    fall: f64,
+}
+
+/// Σ J̃ᵀJ̃.
+fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
+    let mut normal = DMatrix::zeros(np, np);
+    for row in &linear.rows {
+        normal.gemm_tr(1.0, &row.parameters, &row.parameters, 1.0);
+    }
+    normal
+}
+
+/// Adds priors and damping; the bounds of a step.
+fn box_of(
+    parameters: &Parameters,
+    x: &[f64],
+    normal: &mut DMatrix<f64>,
+    right: &mut DVector<f64>,
+    damping: f64,
+) -> (Vec<f64>, Vec<f64>) {
+    let (mut low, mut high) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+    for (i, p) in parameters.iter_free().enumerate() {
+        if p.prior_sigma.is_finite() {
+            normal[(i, i)] += p.prior_sigma.powi(-2);
+            right[i] -= (x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
+        }
+        normal[(i, i)] += damping * normal[(i, i)].max(LEAST_INFORMATION);
+        let (lower, upper) = p.bounds();
+        let most = match p.scale {
+            Scale::Log => LOG_STEP,
+            Scale::Linear => f64::INFINITY,
+        };
+        low[i] = (lower - x[i]).max(-most);
+        high[i] = (upper - x[i]).min(most);
+    }
+    (low, high)
+}
+
+/// Least squares of R ds + b, each unknown held back in proportion to what is known of it.
+fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
+    let mut normal = triangle.tr_mul(triangle);
+    for i in 0..normal.nrows() {
+        normal[(i, i)] += damping * normal[(i, i)] + LEAST_INFORMATION;
+    }
+    let right = -triangle.tr_mul(b);
+    match normal.cholesky() {
+        Some(factor) => factor.solve(&right),
+        None => DVector::zeros(right.len()),
+    }
+}

@@ -1,0 +1,138 @@
+//! Whether model, parameters and recordings fit together, and what of them is looked at.
+
+use std::sync::Arc;
+
+use super::effect;
+use super::run::Input;
+use super::search::Search;
+use super::{GapError, windows};
+use crate::recording::Recording;
+use crate::sysid::problem::{ChannelRule, Problem, ProblemConfig};
+
+/// Standard deviation of a parameter, in changes that matter, from which the recordings say nothing of it.
+const BLIND: f64 = 30.0;
+
+/// Effects must exist, and have a place in the model.
+pub(super) fn check_effects(
+    names: &[String],
+    model: &crate::mujoco::Model,
+) -> Result<(), GapError> {
+    for name in names {
+        let known = || {
+            let mut all: Vec<&str> = effect::CATALOGUE.iter().map(|e| e.about().name).collect();
+            all.sort_unstable();
+            all.join(", ")
+        };
+        let reason = match effect::named(name) {
+            None => format!("there is no effect `{name}`; there are {}", known()),
+            Some(e) if e.places(model).is_empty() => format!(
+                "the model cannot carry the effect `{name}` ({}): it has no place where that could act; leave it out, \
+                 or give the model such a place",
+                e.about().law
+            ),
+            Some(_) => continue,
+        };
+        return Err(GapError::Input { reason });
+    }
+    Ok(())
+}
+
+/// Every fitted parameter must show in the recordings, or have a prior.
+pub(super) fn excited(search: &Search<'_>) -> Result<(), GapError> {
+    let parameters = &search.windows.problem.parameters;
+    let spread = search.normal()?.spread();
+    let blind: Vec<&str> = (parameters.iter_free().zip(&spread))
+        .filter(|(p, sigma)| !p.prior_sigma.is_finite() && **sigma > BLIND * p.typical)
+        .map(|(p, _)| p.name.as_str())
+        .collect();
+    if blind.is_empty() {
+        return Ok(());
+    }
+    let reason = format!(
+        "the recordings do not have the excitation that these parameters need: {}; record a motion on which they \
+         depend (`phantom sysid design` proposes one), give them a `prior_sigma`, or do not fit them",
+        blind.join(", ")
+    );
+    Err(GapError::Input { reason })
+}
+
+/// The configuration, without the velocities of joints whose positions are measured: those are made from positions, by
+/// filters that look like late sensors.
+pub(super) fn judged(input: &Input<'_>) -> Result<ProblemConfig, GapError> {
+    let model = &input.model.model;
+    let names = Problem::new(
+        Arc::clone(model),
+        &without_parameters(input.config),
+        input.train,
+    )?;
+    let positions =
+        (names.channels.iter()).any(|c| c.stage == crate::sysid::problem::Stage::Position);
+    let mut config = input.config.clone();
+    if positions {
+        let velocities = names
+            .channels
+            .iter()
+            .filter(|c| windows::is_velocity(model, c.source));
+        let ignored = velocities.map(|c| ChannelRule {
+            name: c.name.clone(),
+            noise_sigma: None,
+            norm: crate::sysid::norm::Norm::default(),
+            ignore: true,
+        });
+        config.channel = ignored.chain(config.channel).collect();
+    }
+    Ok(config)
+}
+
+pub(super) fn without_parameters(config: &ProblemConfig) -> ProblemConfig {
+    ProblemConfig {
+        parameter: Vec::new(),
+        ..config.clone()
+    }
+}
+
+/// Held-out recordings must be of the same machine: the same channels.
+pub(super) fn same_channels(
+    train: &Problem,
+    config: &ProblemConfig,
+    input: &Input<'_>,
+) -> Result<(), GapError> {
+    if input.holdout.is_empty() {
+        return Ok(());
+    }
+    for (name, recording) in input.holdout {
+        let hashes = |r: &[(String, Recording)]| -> Vec<String> {
+            r.iter()
+                .map(|(_, r)| r.meta.model_hash.clone())
+                .filter(|h| !h.is_empty())
+                .collect()
+        };
+        let own = &recording.meta.model_hash;
+        if let Some(other) = hashes(input.train)
+            .iter()
+            .find(|h| !own.is_empty() && *h != own)
+        {
+            let reason = format!(
+                "held-out recording `{name}` is of another model than the training recordings ({own}, {other})"
+            );
+            return Err(GapError::Input { reason });
+        }
+    }
+    let held = Problem::new(
+        Arc::clone(&input.model.model),
+        &without_parameters(config),
+        input.holdout,
+    )?;
+    let missing: Vec<&str> = (train.channels.iter())
+        .filter(|c| !held.channels.iter().any(|h| h.name == c.name))
+        .map(|c| c.name.as_str())
+        .collect();
+    if !missing.is_empty() {
+        let reason = format!(
+            "held-out recordings have no channel {}, which the training recordings have",
+            missing.join(", ")
+        );
+        return Err(GapError::Input { reason });
+    }
+    Ok(())
+}

@@ -1,0 +1,262 @@
+//! The windows, linearised: what first states, parameters and other models do to the readings.
+//!
+//! ```text
+//! r(s₀ + ds, x + dx) ≈ r + Q R ds + J dx        r̃ = r − Q Qᵀ r        J̃ = J − Q Qᵀ J
+//! ```
+//!
+//! | symbol | name |
+//! | --- | --- |
+//! | Q, R | [`Row::basis`], [`Row::triangle`] |
+//! | r̃, J̃, Qᵀ J | [`Row::residual`], [`Row::parameters`], [`Row::along`] |
+
+use nalgebra::{DMatrix, DVector};
+
+use super::coarse;
+use super::windows::Windows;
+use crate::sysid::SysidError;
+use crate::sysid::problem::Problem;
+use crate::sysid::shooting::columns::Point;
+use crate::sysid::shooting::simulate::{Pool, Simulated};
+use crate::sysid::shooting::window::{Placed, State, Window, place};
+
+/// Part of a column's length that must be its own for it to count.
+const OWN: f64 = 1e-6;
+
+/// A window's rows: whitened, what its first state explains taken out.
+#[derive(Debug, Clone)]
+pub(super) struct Row {
+    /// (rows × rank) orthonormal
+    pub basis: DMatrix<f64>,
+    /// (rank × 2 nv) of the first state along it
+    pub triangle: DMatrix<f64>,
+    /// (rows) predictions in the steps of derivatives
+    predicted: Vec<f64>,
+    /// (rows) of a prediction in its row
+    factor: Vec<f64>,
+    /// (rows) root of the norm's weight
+    pub weight: Vec<f64>,
+    /// (rows) index of its channel
+    pub channel: Vec<usize>,
+    /// (rows × free parameters)
+    pub parameters: DMatrix<f64>,
+    /// (rank × free parameters)
+    pub along: DMatrix<f64>,
+    /// (rows)
+    pub residual: DVector<f64>,
+}
+
+/// The linearised problem.
+pub(super) struct Linear {
+    steps: usize,
+    pub windows: Vec<Window>,
+    pub placed: Vec<Vec<Placed>>,
+    states: Vec<State>,
+    /// of each window
+    pub rows: Vec<Row>,
+}
+
+/// What a change of the model does to the rows of every window, and its squared length before projection.
+#[derive(Debug, Clone)]
+pub(super) struct Column {
+    /// per window (rows)
+    pub parts: Vec<DVector<f64>>,
+    /// Σ of squares with the first states held
+    pub raw: f64,
+}
+
+impl Windows {
+    /// The linearised problem at parameters `x` and the present first states.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn linearise(&self, x: &[f64]) -> Result<Linear, SysidError> {
+        match self.linearise_in(x, self.factor) {
+            // what breaks down in longer steps may not in short ones
+            Err(SysidError::Setting { .. }) if self.factor > 1 => self.linearise_in(x, 1),
+            result => result,
+        }
+    }
+
+    fn linearise_in(&self, x: &[f64], factor: usize) -> Result<Linear, SysidError> {
+        let here = self.simulate(x, &self.states)?;
+        let lost = || SysidError::Setting {
+            reason: "the fitted model does not follow its own motion".into(),
+        };
+        let here = here.ok_or_else(lost)?;
+        let windows = self.windows();
+        let placed = place(&self.problem, &windows, x);
+        let slow = coarse::slow(&self.problem, factor)?;
+        let slow_windows = coarse::windows(&windows, factor);
+        let slow_placed = coarse::placed(&self.problem, &placed, factor);
+        let pool = Pool::default();
+        let point = Point {
+            problem: &slow,
+            windows: &slow_windows,
+            placed: &slow_placed,
+            x,
+            states: &self.states,
+            free_states: true,
+            pool: &pool,
+        };
+        let base: Option<Vec<Simulated>> = point.simulate()?.into_iter().collect();
+        let base = base.ok_or_else(lost)?;
+        let columns = point.columns(&base)?;
+        let free = self.problem.free_values(x);
+        let mut rows = Vec::with_capacity(windows.len());
+        for (w, (columns, simulated)) in columns.iter().zip(&base).enumerate() {
+            let linear = point.rows(w, simulated, columns, None)?;
+            let (n_state, np) = (2 * self.problem.model.nv(), x.len());
+            let n = placed[w].len();
+            let samples = &self.problem.trials[w].samples;
+            let channel: Vec<usize> = placed[w]
+                .iter()
+                .map(|p| samples[p.sample].channel)
+                .collect();
+            let weight: Vec<f64> = (channel.iter().zip(&here[w].residual))
+                .map(|(c, r)| self.problem.channels[*c].norm.weight(*r).sqrt())
+                .collect();
+            let at = |i: usize, j: usize| weight[i] * linear.values[i * linear.width + j];
+            let states = DMatrix::from_fn(n, n_state, at);
+            let basis = orthonormal(&states);
+            let mut parameters = DMatrix::from_fn(n, np, |i, j| at(i, 2 * n_state + j));
+            let mut residual = DVector::from_fn(n, |i, _| weight[i] * here[w].residual[i]);
+            let along = basis.tr_mul(&parameters);
+            parameters -= &basis * &along;
+            residual -= &basis * basis.tr_mul(&residual);
+            let predicted: Vec<f64> = (simulated.samples(&slow, &slow_windows[w], &slow_placed[w]))
+                .map(|(z, _)| z)
+                .collect();
+            let scale = channel.iter().zip(&weight).map(|(c, weight)| {
+                let c = &self.problem.channels[*c];
+                weight * c.gain.value(&free) / c.sigma
+            });
+            rows.push(Row {
+                factor: scale.collect(),
+                triangle: basis.tr_mul(&states),
+                basis,
+                predicted,
+                weight,
+                channel,
+                parameters,
+                along,
+                residual,
+            });
+        }
+        Ok(Linear {
+            steps: factor,
+            windows,
+            placed,
+            states: self.states.clone(),
+            rows,
+        })
+    }
+}
+
+/// What makes the motion of windows.
+type Simulate<'a> = &'a mut dyn FnMut(&Point<'_>) -> Result<Vec<Option<Simulated>>, SysidError>;
+
+/// An orthonormal basis of the space of the columns, by Gram-Schmidt done twice.
+fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut kept: Vec<DVector<f64>> = Vec::new();
+    for column in columns.column_iter() {
+        let mut own = DVector::from(column);
+        let before = own.norm();
+        for _ in 0..2 {
+            for k in &kept {
+                let along = k.dot(&own);
+                own.axpy(-along, k, 1.0);
+            }
+        }
+        let after = own.norm();
+        if after > OWN * before && after > 0.0 {
+            kept.push(own / after);
+        }
+    }
+    if kept.is_empty() {
+        DMatrix::zeros(columns.nrows(), 0)
+    } else {
+        DMatrix::from_columns(&kept)
+    }
+}
+
+impl Linear {
+    /// What another model makes of the same windows, per unit of `size`; `held` has no free parameter. Only every
+    /// `stride`-th window is simulated, the others are 0.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn column(
+        &self,
+        held: &Problem,
+        size: f64,
+        stride: usize,
+    ) -> Result<Column, SysidError> {
+        let some: Vec<usize> = (0..self.windows.len()).step_by(stride).collect();
+        self.moved(held, size, &some, &mut |point| point.simulate())
+    }
+
+    /// The same where `simulate` makes the motion of the windows `some`.
+    pub(super) fn moved(
+        &self,
+        held: &Problem,
+        size: f64,
+        some: &[usize],
+        simulate: Simulate<'_>,
+    ) -> Result<Column, SysidError> {
+        let slow = coarse::slow(held, self.steps)?;
+        let windows = coarse::windows(&self.windows, self.steps);
+        let windows: Vec<Window> = some.iter().map(|i| windows[*i].clone()).collect();
+        let placed = coarse::placed(held, &self.placed, self.steps);
+        let placed: Vec<Vec<Placed>> = some.iter().map(|i| placed[*i].clone()).collect();
+        let states: Vec<State> = some.iter().map(|i| self.states[*i].clone()).collect();
+        let pool = Pool::default();
+        let point = Point {
+            problem: &slow,
+            windows: &windows,
+            placed: &placed,
+            x: &[],
+            states: &states,
+            free_states: true,
+            pool: &pool,
+        };
+        let mut parts: Vec<DVector<f64>> = (self.rows.iter())
+            .map(|row| DVector::zeros(row.residual.len()))
+            .collect();
+        let mut raw = 0.0;
+        for (k, simulated) in simulate(&point)?.into_iter().enumerate() {
+            let (w, row) = (some[k], &self.rows[some[k]]);
+            // where it diverges nothing can be said
+            let Some(simulated) = simulated else { continue };
+            let moved = simulated.samples(&slow, &windows[k], &placed[k]);
+            for (i, (z, _)) in moved.enumerate() {
+                parts[w][i] = row.factor[i] * (z - row.predicted[i]) / size;
+            }
+            raw += parts[w].norm_squared();
+            let along = row.basis.tr_mul(&parts[w]);
+            parts[w] -= &row.basis * along;
+        }
+        Ok(Column { parts, raw })
+    }
+
+    /// What the motors do to the readings, at parameters `x` of `windows`; none where there are none.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn motors(
+        &self,
+        windows: &Windows,
+        x: &[f64],
+    ) -> Result<Option<Column>, SysidError> {
+        let problem = &windows.problem;
+        if problem.model.nu() == 0 {
+            return Ok(None);
+        }
+        let mut still = windows.held(problem, x);
+        for trial in &mut still.trials {
+            for control in trial.controls.iter_mut().flatten() {
+                control.1 = 0.0;
+            }
+        }
+        Ok(Some(self.column(&still, 1.0, 1)?))
+    }
+}

@@ -1,0 +1,75 @@
+//! The repaired model, simulated and searched again.
+//!
+//! Its windows, from the first states and under the commands of the training recordings, with as much noise as the
+//! sensors have: nothing more must be found, and the effects' numbers must come back.
+
+use super::effect::Role;
+use super::result::{Returned, RoundTrip};
+use super::search::Search;
+use super::{GapError, Watch};
+use crate::rng::{self, Purpose};
+use crate::sysid::student::two_sided_t;
+
+/// Iterations of the fit.
+const ITERATIONS: usize = 8;
+
+/// Searches what the present model of `search` would have recorded; nothing if stopped.
+///
+/// # Errors
+/// The engine refuses a number.
+pub(super) fn round_trip(
+    search: &Search<'_>,
+    seed: u64,
+    watch: &mut Watch<'_>,
+) -> Result<Option<RoundTrip>, GapError> {
+    let mut again = search.clone();
+    let windows = &mut again.windows;
+    let Some(followed) = windows.simulate(&search.x, &windows.states)? else {
+        return Ok(None);
+    };
+    for (channel, noise) in windows.problem.channels.iter_mut().zip(&search.noise) {
+        channel.sigma = *noise;
+    }
+    let weighed: Vec<f64> = (search.windows.problem.channels.iter())
+        .map(|c| c.sigma)
+        .collect();
+    for (w, (trial, followed)) in (windows.problem.trials.iter_mut().zip(&followed)).enumerate() {
+        let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, w as u64);
+        for (i, r) in followed.samples.iter().zip(&followed.residual) {
+            let sample = &mut trial.samples[*i];
+            sample.value += r * weighed[sample.channel];
+            sample.value += search.noise[sample.channel] * rng::normal(&mut rng);
+        }
+    }
+    let put_in = search.chosen.clone();
+    let fit = windows.fit(&search.x, ITERATIONS, &mut |i| watch.fit(i))?;
+    again.chosen = again.built.values(&again.windows.problem, &fit.x, &put_in);
+    (again.x, again.cost) = (fit.x, fit.cost);
+    let Some(screen) = again.screen(watch)? else {
+        return Ok(None);
+    };
+    let found = (again.worthy(&screen).iter())
+        .map(|c| format!("{} at {}", c.effect.about().name, c.place))
+        .collect();
+    let free = again.built.free(&again.windows.problem);
+    let mut returned = Vec::new();
+    for (i, (before, after)) in put_in.iter().zip(&again.chosen).enumerate() {
+        for (p, parameter) in before.effect.about().parameters.iter().enumerate() {
+            let number = free.iter().find(|f| f.1 == i && f.2 == p);
+            let Some((j, _, _, slope)) = number.filter(|_| parameter.role != Role::Companion)
+            else {
+                continue;
+            };
+            let (sigma, dof) = screen.normal.fitted(*j);
+            let half = two_sided_t(0.95, dof.max(1.0)) * sigma * slope.abs();
+            returned.push(Returned {
+                name: format!("{} {}", before.effect.about().name, parameter.name),
+                at: before.place.to_string(),
+                put_in: before.values[p],
+                value: after.values[p],
+                ci95: [after.values[p] - half, after.values[p] + half],
+            });
+        }
+    }
+    Ok(Some(RoundTrip { found, returned }))
+}

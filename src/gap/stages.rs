@@ -1,0 +1,188 @@
+//! Finished stages, kept so that a search that was stopped goes on from them.
+//!
+//! | stage | what is kept |
+//! | --- | --- |
+//! | `fit` | the base model's parameters, first states and weights |
+//! | `screen` | what the first screen says |
+//! | `effect-1`, … | the model after each step of the search |
+//!
+//! What is not kept follows from what is: the same report comes out, to the last bit. Whoever keeps them sees to it that
+//! they belong to the same input ([`key`]).
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::GapError;
+use super::effect::{Place, named};
+use super::model::{Built, Chosen};
+use super::result::{Located, Tested, Untestable};
+use super::run::{Input, MissingSeries, Options};
+use super::search::{Evidence, Search};
+use super::windows::Windows;
+use crate::sysid::shooting::window::State;
+
+/// Where finished stages are kept.
+pub trait Keeper {
+    /// What was kept of a stage.
+    fn load(&mut self, stage: &str) -> Option<Vec<u8>>;
+
+    /// Keeps a stage; where that fails the work is done again another time.
+    fn save(&mut self, stage: &str, bytes: &[u8]);
+}
+
+/// Keeps nothing.
+#[derive(Debug, Clone, Copy)]
+pub struct Nowhere;
+
+impl Keeper for Nowhere {
+    fn load(&mut self, _: &str) -> Option<Vec<u8>> {
+        None
+    }
+
+    fn save(&mut self, _: &str, _: &[u8]) {}
+}
+
+/// What stages depend on, as a hexadecimal number: model, parameters, recordings, options and version.
+pub fn key(input: &Input<'_>, options: &Options) -> String {
+    let mut hash = Sha256::new();
+    hash.update(env!("CARGO_PKG_VERSION"));
+    hash.update(input.model.xml.as_bytes());
+    hash.update(format!(
+        "{:?} {options:?} {:?}",
+        input.config, input.protocol
+    ));
+    for (name, recording) in input.train.iter().chain(input.holdout) {
+        hash.update(format!("{name} {recording:?}"));
+    }
+    hash.update(input.train.len().to_le_bytes());
+    format!("{:x}", hash.finalize())
+}
+
+/// What the first screen says.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Screened {
+    pub located: Vec<Located>,
+    pub evidence: Vec<Tested>,
+    pub untestable: Vec<Untestable>,
+    pub n_candidates: usize,
+    pub missing: MissingSeries,
+}
+
+pub(super) fn load<T: DeserializeOwned>(keeper: &mut dyn Keeper, stage: &str) -> Option<T> {
+    postcard::from_bytes(&keeper.load(stage)?).ok()
+}
+
+pub(super) fn save<T: Serialize>(keeper: &mut dyn Keeper, stage: &str, value: &T) {
+    if let Ok(bytes) = postcard::to_allocvec(value) {
+        keeper.save(stage, &bytes);
+    }
+}
+
+/// Windows after a fit.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Fit {
+    x: Vec<f64>,
+    cost: f64,
+    origin: Vec<(usize, f64)>,
+    states: Vec<(Vec<f64>, Vec<f64>)>,
+    trajectories: Vec<Vec<f64>>,
+    sigma: Vec<f64>,
+    factor: usize,
+}
+
+impl Fit {
+    pub(super) fn of(windows: &Windows, x: &[f64], cost: f64) -> Self {
+        let state = |s: &State| (s.qpos.clone(), s.qvel.clone());
+        Self {
+            x: x.to_vec(),
+            cost,
+            origin: windows.origin.clone(),
+            states: windows.states.iter().map(state).collect(),
+            trajectories: windows.trajectories.clone(),
+            sigma: windows.problem.channels.iter().map(|c| c.sigma).collect(),
+            factor: windows.factor,
+        }
+    }
+
+    /// Puts it into the windows of the same recordings; parameters and cost, or nothing where it does not fit.
+    pub(super) fn restore(self, windows: &mut Windows) -> Option<(Vec<f64>, f64)> {
+        let index = |o: &(usize, f64)| windows.origin.iter().position(|p| p == o);
+        let kept: Vec<usize> = self.origin.iter().filter_map(index).collect();
+        let fits = kept.len() == self.origin.len()
+            && self.states.len() == kept.len()
+            && self.trajectories.len() == kept.len()
+            && self.sigma.len() == windows.problem.channels.len()
+            && self.x.len() == windows.problem.parameters.len();
+        if !fits {
+            return None;
+        }
+        *windows = windows.only(&kept);
+        windows.states = (self.states.into_iter())
+            .map(|(qpos, qvel)| State { qpos, qvel })
+            .collect();
+        windows.trajectories = self.trajectories;
+        windows.factor = self.factor;
+        for (channel, sigma) in windows.problem.channels.iter_mut().zip(self.sigma) {
+            channel.sigma = sigma;
+        }
+        Some((self.x, self.cost))
+    }
+}
+
+/// The search after a step.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Step {
+    /// effect, place, values it was written with, values fitted
+    effects: Vec<(String, Place, Vec<f64>, Vec<f64>)>,
+    evidence: Vec<Evidence>,
+    fit: Fit,
+    /// whether nothing more was found
+    pub ended: bool,
+}
+
+impl Step {
+    pub(super) fn of(search: &Search<'_>, ended: bool) -> Self {
+        let effects = search.chosen.iter().zip(&search.written).map(|(c, w)| {
+            let name = c.effect.about().name.to_owned();
+            (name, c.place.clone(), w.values.clone(), c.values.clone())
+        });
+        Self {
+            effects: effects.collect(),
+            evidence: search.evidence.clone(),
+            fit: Fit::of(&search.windows, &search.x, search.cost),
+            ended,
+        }
+    }
+
+    /// Puts it into a search that has the base model fitted. `false`: it does not fit, and nothing was changed.
+    ///
+    /// # Errors
+    /// An effect cannot be written.
+    pub(super) fn restore(self, search: &mut Search<'_>) -> Result<bool, GapError> {
+        let mut written = Vec::new();
+        let mut chosen = Vec::new();
+        for (name, place, before, after) in self.effects {
+            let Some(effect) = named(&name) else {
+                return Ok(false);
+            };
+            let of = |values| Chosen {
+                effect,
+                place: place.clone(),
+                values,
+            };
+            written.push(of(before));
+            chosen.push(of(after));
+        }
+        let built = Built::new(search.base, search.rules, &written, &search.measured)?;
+        let mut windows = search.windows.clone();
+        windows.problem = built.problem(&windows.problem)?;
+        let Some((x, cost)) = self.fit.restore(&mut windows) else {
+            return Ok(false);
+        };
+        (search.built, search.windows, search.x, search.cost) = (built, windows, x, cost);
+        (search.written, search.chosen) = (written, chosen);
+        search.evidence = self.evidence;
+        Ok(true)
+    }
+}

@@ -1,0 +1,115 @@
+//! How much the residuals weigh.
+//!
+//! What missing physics leaves is neither as small as the sensors' noise nor white: its samples say the same thing many
+//! times over. Taken for noise, it would pull parameters away from anything that their priors allow. Channels are
+//! therefore weighed by what is left of them, and all together by how much more the gradient of the cost varies from
+//! stretch to stretch than samples by themselves let expect:
+//!
+//! ```text
+//! sigma = max(noise, rms √max(κ, 1))        κ = tr(H⁻¹ G)/n        H = Σ J̃ᵀJ̃        G = Σ (g − ḡ)(g − ḡ)ᵀ,  g = J̃ᵀ r̃
+//! ```
+//!
+//! with n parameters, one g a stretch. Where nothing is missing, κ is 1.
+//!
+//! Reference: Ribatet, Cooley and Davison 2012, "Bayesian inference from composite likelihoods" (magnitude adjustment).
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+use super::score;
+use super::windows::Windows;
+use crate::sysid::SysidError;
+
+/// Part of the largest information below which a direction says nothing.
+const LEAST: f64 = 1e-8;
+
+impl Windows {
+    /// Sets the standard deviations of channels at parameters `x`, where their sensors have `noise`.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<(), SysidError> {
+        let linear = self.linearise(x)?;
+        let mut squares = vec![(0.0, 0.0_f64); self.problem.channels.len()];
+        for row in &linear.rows {
+            for (c, r) in row.channel.iter().zip(row.residual.iter()) {
+                squares[*c] = (squares[*c].0 + r * r, squares[*c].1 + 1.0);
+            }
+        }
+        let rms: Vec<f64> = (squares.iter())
+            .map(|(sum, n)| if *n > 0.0 { (sum / n).sqrt() } else { 1.0 })
+            .collect();
+        let recording: Vec<usize> = self.origin.iter().map(|o| o.0).collect();
+        let stretch_of = score::stretches(&recording);
+        let n_stretches = stretch_of.iter().max().map_or(0, |m| m + 1);
+        let np = x.len();
+        let mut information = DMatrix::zeros(np, np);
+        let mut gradients = vec![DVector::zeros(np); n_stretches];
+        for (row, stretch) in linear.rows.iter().zip(&stretch_of) {
+            let weight = |i: usize| rms[row.channel[i]].max(f64::MIN_POSITIVE).recip();
+            let n = row.residual.len();
+            let slopes = DMatrix::from_fn(n, np, |i, j| row.parameters[(i, j)] * weight(i));
+            let residual = DVector::from_fn(n, |i, _| row.residual[i] * weight(i));
+            information.gemm_tr(1.0, &slopes, &slopes, 1.0);
+            gradients[*stretch].gemv_tr(1.0, &slopes, &residual, 1.0);
+        }
+        let spread = repetition(information, &gradients).max(1.0).sqrt();
+        for ((channel, rms), noise) in (self.problem.channels.iter_mut()).zip(rms).zip(noise) {
+            channel.sigma = noise.max(channel.sigma * rms * spread);
+        }
+        Ok(())
+    }
+}
+
+/// κ of the module.
+fn repetition(mut information: DMatrix<f64>, gradients: &[DVector<f64>]) -> f64 {
+    let (np, count) = (information.nrows(), gradients.len() as f64);
+    if np == 0 || gradients.len() < 2 {
+        return 1.0;
+    }
+    let scale = DVector::from_fn(np, |i, _| {
+        information[(i, i)].max(f64::MIN_POSITIVE).sqrt().recip()
+    });
+    for i in 0..np {
+        for j in 0..np {
+            information[(i, j)] *= scale[i] * scale[j];
+        }
+    }
+    let mean = gradients.iter().sum::<DVector<f64>>() / count;
+    let eigen = SymmetricEigen::new(information);
+    let most = eigen.eigenvalues.max();
+    let (mut sum, mut n) = (0.0, 0.0_f64);
+    for (value, vector) in eigen
+        .eigenvalues
+        .iter()
+        .zip(eigen.eigenvectors.column_iter())
+    {
+        if *value > LEAST * most {
+            let along = |g: &DVector<f64>| (g - &mean).component_mul(&scale).dot(&vector);
+            sum += gradients.iter().map(|g| along(g).powi(2)).sum::<f64>() / value;
+            n += 1.0;
+        }
+    }
+    sum / n.max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_that_say_the_same_count_once() {
+        // four stretches of a signed unit gradient; then every sample of them nine times, which is no news
+        let gradients = |factor: f64| -> Vec<DVector<f64>> {
+            [1.0, -1.0, 1.0, -1.0]
+                .iter()
+                .map(|g| DVector::from_element(1, g * factor))
+                .collect()
+        };
+        let once = repetition(DMatrix::from_element(1, 1, 4.0), &gradients(1.0));
+        let often = repetition(DMatrix::from_element(1, 1, 36.0), &gradients(9.0));
+        assert!(
+            (once - 1.0).abs() < 1e-12 && (often - 9.0).abs() < 1e-12,
+            "{once} {often}"
+        );
+    }
+}
