@@ -271,7 +271,7 @@ fn degrees_that_name_no_unit_are_seen_by_the_joints_range() {
         row[1] = row[1].to_degrees();
     }
     write_rows(&folder.path().join("degrees.csv"), &degrees);
-    let words = ["encoder", "range of 5.236 rad", "in degrees?", "--binding"];
+    let words = ["encoder", "range of 5.2360 rad", "in degrees?", "--binding"];
     assert_refused(folder.path(), "p.toml", "degrees.csv", &[], &words);
     let binding = "[[channel]]\nfrom = \"encoder\"\nscale = 0.017453292519943295\n";
     fs::write(folder.path().join("b.toml"), binding).expect("written");
