@@ -1,8 +1,6 @@
 //! Pages and figures, opened as their readers would.
-#![allow(clippy::print_stdout)] // what was skipped
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+mod common;
 
 use phantom::report::{Chart, Line, Report, ReportError, Section, Table};
 
@@ -114,42 +112,8 @@ fn wrong_lengths_are_named() {
     ));
 }
 
-fn chromium() -> Option<PathBuf> {
-    let paths = std::env::var_os("PATH")?;
-    let found = std::env::split_paths(&paths).map(|folder| folder.join("chromium"));
-    found.into_iter().find(|path| path.is_file())
-}
-
-/// The document after its scripts ran, in a browser that cannot resolve any host.
-fn dom(browser: &Path, page: &Path) -> String {
-    let profile = tempfile::tempdir().expect("a folder");
-    let output = Command::new(browser)
-        .args([
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-dev-shm-usage",
-        ])
-        .args([
-            "--host-resolver-rules=MAP * ~NOTFOUND",
-            "--virtual-time-budget=10000",
-        ])
-        .arg(format!("--user-data-dir={}", profile.path().display()))
-        .arg("--dump-dom")
-        .arg(format!("file://{}", page.display()))
-        .output()
-        .expect("the browser runs");
-    String::from_utf8_lossy(&output.stdout).into_owned()
-}
-
 #[test]
 fn charts_draw_in_a_browser_without_network() {
-    let Some(browser) = chromium() else {
-        println!("skipped: no chromium (Debian package `chromium`)");
-        return;
-    };
-    let folder = tempfile::tempdir().expect("a folder");
-    let page = folder.path().join("page.html");
     // counts the pixels of every canvas that are not transparent
     let probe = "<script>addEventListener('load', () => setTimeout(() => {
         for (const c of document.querySelectorAll('canvas')) {
@@ -160,8 +124,9 @@ fn charts_draw_in_a_browser_without_network() {
         }
     }, 500))</script></body>";
     let html = report().html().expect("a page");
-    std::fs::write(&page, html.replace("</body>", probe)).expect("written");
-    let dom = dom(&browser, &page);
+    let Some(dom) = common::browser::dom(&html.replace("</body>", probe)) else {
+        return;
+    };
     assert_eq!(
         dom.matches("data-drawn=\"2\"").count(),
         2,

@@ -1,6 +1,7 @@
 //! What the tests of simulated tasks share.
 #![allow(dead_code)] // not every test uses everything
 
+pub(crate) mod browser;
 pub(crate) mod team;
 
 use phantom::mujoco::{Data, Model};
