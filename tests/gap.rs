@@ -1,15 +1,14 @@
 //! What a model lacks: hidden in simulated recordings, and found.
-#![allow(clippy::print_stdout)] // what was skipped
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
+mod common;
+
 use std::sync::Arc;
 
 use phantom::compare::Settings;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::Verdict;
 use phantom::gap::{self, GapError, Input, Keeper, Options, Outcome, figures};
-use phantom::mujoco::Data;
+use phantom::mujoco::{Data, Model, ObjectKind};
 use phantom::recording::{Channel, Kind, Meta, Recording, Stream};
 use phantom::rng::{self, Purpose};
 use phantom::sysid::problem::ProblemConfig;
@@ -153,7 +152,97 @@ fn hidden_friction_is_found_named_and_added() {
         figures::report("report", o, &diff).html().expect("a page")
     };
     assert_eq!(page(&outcome), page(&again));
-    opens_without_network(&page(&outcome), "coulomb_friction");
+    draws_without_network(&page(&outcome), "coulomb_friction");
+}
+
+/// Two seconds of the finger, read by encoders.
+fn record_finger(model: &Arc<Model>, seed: u64) -> (String, Recording) {
+    const MOTORS: [&str; 3] = ["p0_m1", "p0_m2", "p0_m3"];
+    const JOINTS: [&str; 3] = ["p0_turret", "p0_upper", "p0_crank"];
+    const MIDDLE_RAD: [f64; 3] = [0.0, -0.15, 0.05];
+    const STEP_RAD: f64 = 2e-4;
+    let mut data = Data::new(Arc::clone(model)).expect("data");
+    let channel = |name: String, kind, unit: &str, noise_sigma| Channel {
+        name,
+        kind,
+        unit: unit.into(),
+        noise_sigma,
+    };
+    let positions = JOINTS.map(|j| {
+        channel(
+            format!("{j}_pos"),
+            Kind::Sensor,
+            "rad",
+            Some(STEP_RAD / 12_f64.sqrt()),
+        )
+    });
+    let motors = MOTORS.map(|m| channel(m.into(), Kind::Control, "N m", None));
+    let mut stream = Stream::new("all", Some(2000.0), [positions, motors].concat());
+    for k in 0..4000_i64 {
+        let t = k as f64 * 5e-4;
+        let mut row = Vec::new();
+        let mut torques = Vec::new();
+        for (i, joint) in JOINTS.iter().enumerate() {
+            let joint = model.id(ObjectKind::Joint, joint).expect("a joint");
+            let dof = model.jnt_dofadr()[joint] as usize;
+            let angle = data.qpos()[model.jnt_qposadr()[joint] as usize];
+            row.push((angle / STEP_RAD).floor() * STEP_RAD + 0.5 * STEP_RAD);
+            // held off its stops by a controller
+            let phase = (seed as usize * 3 + i) as f64;
+            let wanted = MIDDLE_RAD[i]
+                + 0.12 * (6.0 * t + phase).sin()
+                + 0.04 * (23.0 * t + 2.0 * phase).sin();
+            torques.push(4.0 * (wanted - angle) - 0.1 * data.qvel()[dof]);
+        }
+        data.ctrl_mut().copy_from_slice(&torques);
+        row.extend(torques);
+        stream.push(k * 500_000, &row);
+        data.step().expect("step");
+    }
+    let meta = Meta::default();
+    let streams = vec![stream];
+    (format!("finger {seed}"), Recording { meta, streams })
+}
+
+/// First states of a machine with loops once ran off along what the loops forbid; friction then lost against a motor
+/// that saturates.
+#[test]
+fn friction_of_a_machine_with_loops_is_named() {
+    let text = std::fs::read_to_string("xml/finger.xml").expect("the shipped finger");
+    let base = ModelFile::of_text(text.clone(), "finger.xml").unwrap_or_else(|e| panic!("{e}"));
+    let joint = r#"<joint name="p0_upper" class="upper""#;
+    assert!(text.contains(joint));
+    let rubs = format!(
+        r#"{joint} frictionloss="0.02" solreffriction="0.001 1" solimpfriction="0.99 0.99 0.001""#
+    );
+    let truth = Arc::new(Model::from_xml_str(&text.replace(joint, &rubs)).expect("a model"));
+    let train = [1, 2, 3, 4].map(|seed| record_finger(&truth, seed));
+    let holdout = [record_finger(&truth, 9)];
+    let config = toml::from_str(
+        "[[parameter]]\nelement = \"body/p0_forearm\"\nattribute = \"mass\"\nprior_sigma = 0.1\n",
+    )
+    .expect("a configuration");
+    let input = Input {
+        model: &base,
+        config: &config,
+        train: &train,
+        holdout: &holdout,
+        protocol: &Settings::default(),
+    };
+    let effects = ["coulomb_friction", "torque_saturation", "rotor_inertia"];
+    let options = Options {
+        effects: effects.map(String::from).to_vec(),
+        ..Options::default()
+    };
+    let outcome = gap::run(&input, &options, &mut |_, _, _| true).unwrap_or_else(|e| panic!("{e}"));
+    let found = &outcome.answer.effects;
+    assert_eq!(found.len(), 1, "{:#?}", outcome.answer);
+    assert_eq!(
+        (found[0].name.as_str(), found[0].at.as_str()),
+        ("coulomb_friction", "p0_upper")
+    );
+    let level = &found[0].parameters[0];
+    assert!((level.value / 0.02 - 1.0).abs() < 0.03, "{level:?}");
 }
 
 /// Stages in memory.
@@ -288,37 +377,10 @@ fn inputs_that_cannot_work_say_what_to_do() {
     );
 }
 
-/// Opens a page in a browser that cannot resolve any host, and looks for a word.
-fn opens_without_network(html: &str, word: &str) {
-    let paths = std::env::var_os("PATH").unwrap_or_default();
-    let mut found = std::env::split_paths(&paths).map(|folder| folder.join("chromium"));
-    let Some(browser) = found.find(|path: &PathBuf| path.is_file()) else {
-        println!("skipped: no chromium (Debian package `chromium`)");
+fn draws_without_network(html: &str, word: &str) {
+    let Some(dom) = common::browser::dom(html) else {
         return;
     };
-    let folder = tempfile::tempdir().expect("a folder");
-    let page: &Path = &folder.path().join("report.html");
-    std::fs::write(page, html).expect("written");
-    let output = Command::new(browser)
-        .args([
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-dev-shm-usage",
-        ])
-        .args([
-            "--host-resolver-rules=MAP * ~NOTFOUND",
-            "--virtual-time-budget=10000",
-        ])
-        .arg(format!(
-            "--user-data-dir={}",
-            folder.path().join("profile").display()
-        ))
-        .arg("--dump-dom")
-        .arg(format!("file://{}", page.display()))
-        .output()
-        .expect("the browser runs");
-    let dom = String::from_utf8_lossy(&output.stdout);
     assert!(dom.contains(word), "{dom:.2000}");
     assert!(dom.contains("data-drawn"), "no chart was drawn");
 }

@@ -1,38 +1,43 @@
 //! Parameters and first states of all windows: Gauss-Newton with derivatives that serve for several steps.
 //!
 //! ```text
-//! dx = −(Σ J̃ᵀJ̃ + P + λ D)⁻¹ (Σ J̃ᵀ r̃ + P (x − x̄))        ds = −(RᵀR + λ D)⁻¹ Rᵀ (Qᵀ r + Qᵀ J dx)
+//! dx = −(Σ J̃ᵀJ̃ + P)⁻¹ (Σ J̃ᵀ r̃ + P (x − x̄))        ds = −R⁻¹ (Qᵀ r + Qᵀ J dx)
 //! ```
 //!
 //! with P the precision of priors, bounds kept, and Q, R, J̃, r̃ of [`super::linear`]. r is simulated exactly after each
 //! step; J and Q, which cost a simulation an unknown, are only where the cost does not fall as they foretell. Windows
-//! know nothing of each other: each takes the part of its ds that suits it.
+//! know nothing of each other: each takes the part of its ds that suits it, and those that friction or stops bend goes
+//! on by itself ([`super::settle`]).
 
 use nalgebra::{DMatrix, DVector};
 
-use super::linear::Linear;
+use super::linear::{Linear, Row};
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::fit::Iteration;
 use crate::sysid::parameter::{Parameters, Scale};
 use crate::sysid::shooting::columns::Point;
+use crate::sysid::shooting::loops::Loops;
 use crate::sysid::shooting::simulate::Pool;
 use crate::sysid::shooting::window::{State, place};
 
-const FIRST_DAMPING: f64 = 1e-4;
-const LEAST_DAMPING: f64 = 1e-9;
-const MOST_DAMPING: f64 = 1e4;
+/// Part of a direction's information that is added to it.
+const RIDGE: f64 = 1e-9;
 /// Fall of the cost that is not worth a step: a fraction of what a parameter's standard deviation makes.
 const LEAST_FALL: f64 = 0.02;
 /// The same as a part of the cost.
 const LEAST_PART: f64 = 1e-6;
+/// Squared length of a step of the parameters, in standard deviations, after which there is no other.
+const NEAR: f64 = 0.1;
 /// Part of the foretold fall from which derivatives go on serving.
 const AS_FORETOLD: f64 = 0.6;
 /// Largest change of x on a log scale in one step.
 const LOG_STEP: f64 = 1.0;
+/// Parts of a step that are tried.
+const PARTS: [f64; 3] = [1.0, 0.3, 0.1];
 /// Parts of the change of a window's state that are tried.
-const PARTS: [f64; 3] = [1.0, 0.3, 0.0];
+const STATE_PARTS: [f64; 3] = [1.0, 0.3, 0.0];
 /// Information that a parameter is taken to have at least.
 const LEAST_INFORMATION: f64 = 1e-12;
 
@@ -53,7 +58,7 @@ pub(super) struct Followed {
     pub residual: Vec<f64>,
     /// (knots × nq)
     qpos: Vec<f64>,
-    cost: f64,
+    pub cost: f64,
     /// samples of the rows
     pub samples: Vec<usize>,
 }
@@ -73,7 +78,7 @@ impl Windows {
         Ok(followed.into_iter().collect())
     }
 
-    fn simulate_some(
+    pub(super) fn simulate_some(
         &self,
         x: &[f64],
         states: &[State],
@@ -82,13 +87,20 @@ impl Windows {
         let windows = self.windows();
         let placed = place(&self.problem, &windows, x);
         let pool = Pool::default();
+        let mut states = states.to_vec();
+        if let Some(mut loops) = Loops::new(&self.problem, x)? {
+            for &w in some {
+                states[w] = loops.close(&states[w])?;
+            }
+        }
         let point = Point {
             problem: &self.problem,
             windows: &windows,
             placed: &placed,
             x,
-            states,
+            states: &states,
             free_states: true,
+            directions: &[],
             pool: &pool,
         };
         let free = self.problem.free_values(x);
@@ -118,7 +130,8 @@ impl Windows {
         Ok(followed.collect())
     }
 
-    /// Estimates the parameters and first states from `x`.
+    /// Estimates the parameters and first states from `x`. Derivatives that do not foretell what happens are made
+    /// anew, then in shorter steps.
     ///
     /// # Errors
     /// Nothing can be simulated; the engine refuses a number.
@@ -131,7 +144,6 @@ impl Windows {
         let mut here = self.followed(x)?;
         let mut x = x.to_vec();
         let mut cost = self.cost(&x, &here);
-        let mut damping = FIRST_DAMPING;
         let mut linear: Option<(Linear, DMatrix<f64>)> = None;
         let mut fresh = true; // whether derivatives are of the present point
         for _ in 0..max_iterations {
@@ -143,47 +155,67 @@ impl Windows {
                 let normal = information(&found, x.len());
                 (found, normal)
             };
-            let step = self.step(&derivatives, &normal, &x, &here, damping);
-            if step.fall < LEAST_FALL.max(LEAST_PART * cost) {
+            let step = self.step(&derivatives, &normal, &x, &here);
+            if step.fall(1.0) < LEAST_FALL.max(LEAST_PART * cost) {
                 if fresh {
                     break;
                 }
                 continue; // with new derivatives there may be more
             }
-            let to: Vec<f64> = x.iter().zip(&step.dx).map(|(x, d)| x + d).collect();
-            let taken = self.best(&to, &here, &step.ds)?;
-            let new_cost = taken.as_ref().map(|t| self.cost(&to, t));
-            let (Some(taken), Some(new_cost)) = (taken, new_cost.filter(|c| *c < cost)) else {
-                if fresh {
-                    damping *= 30.0;
-                    linear = Some((derivatives, normal));
-                }
-                if damping > MOST_DAMPING {
+            let Some(taken) = self.along(&derivatives, &step, (&x, &here, cost))? else {
+                if fresh && self.factor == 1 {
                     break;
+                }
+                if fresh {
+                    self.factor /= 2;
                 }
                 continue;
             };
-            let same = (here.iter().zip(&taken)).all(|(a, b)| a.samples == b.samples);
-            if same && cost - new_cost > AS_FORETOLD * step.fall {
+            let same = (here.iter().zip(&taken.windows)).all(|(a, b)| a.samples == b.samples);
+            if same && cost - taken.cost > AS_FORETOLD * step.fall(taken.part) {
                 linear = Some((derivatives, normal));
             }
             fresh = false;
-            let length = step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
-            (x, here, cost) = (to, taken, new_cost);
+            (x, here, cost) = (taken.x, taken.windows, taken.cost);
             self.take(&here);
             let record = Iteration {
                 level: 0.0,
                 cost,
-                damping,
-                step: length,
+                damping: 0.0,
+                step: taken.part * step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs())),
                 x: x.clone(),
             };
-            damping = (damping * 0.1).max(LEAST_DAMPING);
-            if !watch(&record) {
+            if !watch(&record) || taken.part == 1.0 && step.far < NEAR {
                 break;
             }
         }
         Ok(Fitted { x, cost })
+    }
+
+    /// The largest part of a step that the cost falls by; nothing if there is none.
+    fn along(
+        &self,
+        linear: &Linear,
+        step: &Step,
+        (x, here, cost): (&[f64], &[Followed], f64),
+    ) -> Result<Option<Taken>, SysidError> {
+        for part in PARTS {
+            let to: Vec<f64> = x.iter().zip(&step.dx).map(|(x, d)| x + part * d).collect();
+            let Some(mut windows) = self.best(&to, here, &step.changes(linear, part))? else {
+                continue;
+            };
+            self.settle(&to, &mut windows, linear);
+            let new = self.cost(&to, &windows);
+            if new < cost {
+                return Ok(Some(Taken {
+                    x: to,
+                    windows,
+                    cost: new,
+                    part,
+                }));
+            }
+        }
+        Ok(None)
     }
 
     /// Every window at `x`, without those that break down there.
@@ -224,7 +256,7 @@ impl Windows {
     ) -> Result<Option<Vec<Followed>>, SysidError> {
         let mut best: Vec<Option<Followed>> = vec![None; self.len()];
         let mut left: Vec<usize> = (0..self.len()).collect();
-        for part in PARTS {
+        for part in STATE_PARTS {
             let states = (here.iter().zip(changes))
                 .map(|(f, ds)| f.state.moved(&self.problem, (ds * part).as_slice()))
                 .collect::<Result<Vec<_>, _>>()?;
@@ -247,56 +279,78 @@ impl Windows {
         Ok(best.into_iter().collect())
     }
 
-    fn step(
-        &self,
-        linear: &Linear,
-        normal: &DMatrix<f64>,
-        x: &[f64],
-        here: &[Followed],
-        damping: f64,
-    ) -> Step {
+    fn step(&self, linear: &Linear, normal: &DMatrix<f64>, x: &[f64], here: &[Followed]) -> Step {
         let np = x.len();
         let parameters = &self.problem.parameters;
         let mut right = DVector::zeros(np);
-        let mut split = Vec::with_capacity(here.len());
+        let mut along = Vec::with_capacity(here.len());
         for (row, followed) in linear.rows.iter().zip(here) {
-            let r = DVector::from_iterator(
-                followed.residual.len(),
-                followed
-                    .residual
-                    .iter()
-                    .zip(&row.weight)
-                    .map(|(r, w)| r * w),
-            );
-            let along = row.basis.tr_mul(&r);
+            let r = followed.weighted(row);
+            along.push(row.basis.tr_mul(&r));
             right -= row.parameters.tr_mul(&r);
-            split.push((r, along));
         }
-        let mut normal = normal.clone();
-        let (low, high) = box_of(parameters, x, &mut normal, &mut right, damping);
-        let dx = solve_in_box(&normal, &right, &low, &high);
+        let gradient = -right.clone();
+        let mut with_priors = normal.clone();
+        let (low, high) = box_of(parameters, x, &mut with_priors, &mut right);
+        let dx = solve_in_box(&with_priors, &right, &low, &high);
         let change = DVector::from_column_slice(&dx);
         let to: Vec<f64> = x.iter().zip(&dx).map(|(x, d)| x + d).collect();
+        let far = change.dot(&(normal * &change));
         let mut fall = parameters.prior_cost(x) - parameters.prior_cost(&to);
-        let mut ds = Vec::with_capacity(here.len());
-        for (row, (r, along)) in linear.rows.iter().zip(&split) {
-            let wanted = along + &row.along * &change;
-            let own = damped(&row.triangle, &wanted, damping);
-            let left = r - &row.basis * along + &row.parameters * &change;
-            let rest = &wanted + &row.triangle * &own;
-            fall += 0.5 * (r.norm_squared() - left.norm_squared() - rest.norm_squared());
-            ds.push(own);
+        fall -= gradient.dot(&change) + 0.5 * far;
+        for (row, along) in linear.rows.iter().zip(&along) {
+            let rest = along + &row.triangle * damped(&row.triangle, along, RIDGE);
+            fall += 0.5 * (along.norm_squared() - rest.norm_squared());
         }
-        Step { dx, ds, fall }
+        Step {
+            dx,
+            along,
+            fall,
+            far,
+        }
     }
 }
 
+impl Followed {
+    /// (rows) the residual, weighed as `row` is.
+    pub(super) fn weighted(&self, row: &Row) -> DVector<f64> {
+        let each = self.residual.iter().zip(&row.weight);
+        DVector::from_iterator(self.residual.len(), each.map(|(r, w)| r * w))
+    }
+}
+
+/// A step by the linearised problem.
 struct Step {
     dx: Vec<f64>,
-    /// per window (2 nv)
-    ds: Vec<DVector<f64>>,
-    /// of the cost, by the linearised problem
+    /// Qᵀ r of every window
+    along: Vec<DVector<f64>>,
+    /// of the cost
     fall: f64,
+    /// squared length of dx in standard deviations
+    far: f64,
+}
+
+impl Step {
+    /// Fall of the cost by a part of the step; first states take theirs whole.
+    fn fall(&self, part: f64) -> f64 {
+        self.fall * part * (2.0 - part)
+    }
+
+    /// ds of every window with a part of dx.
+    fn changes(&self, linear: &Linear, part: f64) -> Vec<DVector<f64>> {
+        let change = part * DVector::from_column_slice(&self.dx);
+        let each = linear.rows.iter().zip(&self.along);
+        each.map(|(row, along)| row.change(&(along + &row.along * &change), RIDGE))
+            .collect()
+    }
+}
+
+/// Where a part of a step leads.
+struct Taken {
+    x: Vec<f64>,
+    windows: Vec<Followed>,
+    cost: f64,
+    part: f64,
 }
 
 /// Σ J̃ᵀJ̃.
@@ -308,13 +362,12 @@ fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
     normal
 }
 
-/// Adds priors and damping; the bounds of a step.
+/// Adds priors and a ridge; the bounds of a step.
 fn box_of(
     parameters: &Parameters,
     x: &[f64],
     normal: &mut DMatrix<f64>,
     right: &mut DVector<f64>,
-    damping: f64,
 ) -> (Vec<f64>, Vec<f64>) {
     let (mut low, mut high) = (vec![0.0; x.len()], vec![0.0; x.len()]);
     for (i, p) in parameters.iter_free().enumerate() {
@@ -322,7 +375,7 @@ fn box_of(
             normal[(i, i)] += p.prior_sigma.powi(-2);
             right[i] -= (x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
         }
-        normal[(i, i)] += damping * normal[(i, i)].max(LEAST_INFORMATION);
+        normal[(i, i)] += RIDGE * normal[(i, i)].max(LEAST_INFORMATION);
         let (lower, upper) = p.bounds();
         let most = match p.scale {
             Scale::Log => LOG_STEP,
@@ -335,7 +388,7 @@ fn box_of(
 }
 
 /// Least squares of R ds + b, each unknown held back in proportion to what is known of it.
-fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
+pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
     let mut normal = triangle.tr_mul(triangle);
     for i in 0..normal.nrows() {
         normal[(i, i)] += damping * normal[(i, i)] + LEAST_INFORMATION;

@@ -12,10 +12,12 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::coarse;
+use super::fit::damped;
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::problem::Problem;
 use crate::sysid::shooting::columns::Point;
+use crate::sysid::shooting::loops::Loops;
 use crate::sysid::shooting::simulate::{Pool, Simulated};
 use crate::sysid::shooting::window::{Placed, State, Window, place};
 
@@ -27,7 +29,9 @@ const OWN: f64 = 1e-6;
 pub(super) struct Row {
     /// (rows × rank) orthonormal
     pub basis: DMatrix<f64>,
-    /// (rank × 2 nv) of the first state along it
+    /// (2 nv × n) that the first state may change along, see [`crate::sysid::shooting::loops`]; none: everything
+    directions: Option<DMatrix<f64>>,
+    /// (rank × n) of the first state along the basis
     pub triangle: DMatrix<f64>,
     /// (rows) predictions in the steps of derivatives
     predicted: Vec<f64>,
@@ -89,13 +93,19 @@ impl Windows {
         let slow_windows = coarse::windows(&windows, factor);
         let slow_placed = coarse::placed(&self.problem, &placed, factor);
         let pool = Pool::default();
+        let states: Vec<State> = here.iter().map(|f| f.state.clone()).collect();
+        let directions = match Loops::new(&self.problem, x)? {
+            Some(mut loops) => loops.directions(&states)?,
+            None => Vec::new(),
+        };
         let point = Point {
             problem: &slow,
             windows: &slow_windows,
             placed: &slow_placed,
             x,
-            states: &self.states,
+            states: &states,
             free_states: true,
+            directions: &directions,
             pool: &pool,
         };
         let base: Option<Vec<Simulated>> = point.simulate()?.into_iter().collect();
@@ -105,7 +115,7 @@ impl Windows {
         let mut rows = Vec::with_capacity(windows.len());
         for (w, (columns, simulated)) in columns.iter().zip(&base).enumerate() {
             let linear = point.rows(w, simulated, columns, None)?;
-            let (n_state, np) = (2 * self.problem.model.nv(), x.len());
+            let (n_state, np) = (point.n_state(), x.len());
             let n = placed[w].len();
             let samples = &self.problem.trials[w].samples;
             let channel: Vec<usize> = placed[w]
@@ -116,8 +126,8 @@ impl Windows {
                 .map(|(c, r)| self.problem.channels[*c].norm.weight(*r).sqrt())
                 .collect();
             let at = |i: usize, j: usize| weight[i] * linear.values[i * linear.width + j];
-            let states = DMatrix::from_fn(n, n_state, at);
-            let basis = orthonormal(&states);
+            let by_state = DMatrix::from_fn(n, n_state, at);
+            let basis = orthonormal(&by_state);
             let mut parameters = DMatrix::from_fn(n, np, |i, j| at(i, 2 * n_state + j));
             let mut residual = DVector::from_fn(n, |i, _| weight[i] * here[w].residual[i]);
             let along = basis.tr_mul(&parameters);
@@ -132,7 +142,8 @@ impl Windows {
             });
             rows.push(Row {
                 factor: scale.collect(),
-                triangle: basis.tr_mul(&states),
+                directions: directions.get(w).cloned(),
+                triangle: basis.tr_mul(&by_state),
                 basis,
                 predicted,
                 weight,
@@ -146,9 +157,20 @@ impl Windows {
             steps: factor,
             windows,
             placed,
-            states: self.states.clone(),
+            states,
             rows,
         })
+    }
+}
+
+impl Row {
+    /// (2 nv) change of the first state that takes `wanted` off Qᵀ r, damped in proportion to what is known of it.
+    pub(super) fn change(&self, wanted: &DVector<f64>, damping: f64) -> DVector<f64> {
+        let own = damped(&self.triangle, wanted, damping);
+        match &self.directions {
+            Some(directions) => directions * own,
+            None => own,
+        }
     }
 }
 
@@ -217,6 +239,7 @@ impl Linear {
             x: &[],
             states: &states,
             free_states: true,
+            directions: &[],
             pool: &pool,
         };
         let mut parts: Vec<DVector<f64>> = (self.rows.iter())

@@ -30,6 +30,7 @@ mod run;
 mod score;
 mod screen;
 mod search;
+mod settle;
 mod stages;
 mod verify;
 mod weigh;

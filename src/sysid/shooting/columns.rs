@@ -1,5 +1,6 @@
 //! Simulations of all windows, and their derivatives by finite differences, on all cores.
 
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::simulate::{Pool, Simulated, Simulator};
@@ -28,10 +29,12 @@ pub(crate) struct Point<'a> {
     pub states: &'a [State],
     /// whether they are unknowns
     pub free_states: bool,
+    /// of each window (2 nv × n): what its first state may change along; none: everything
+    pub directions: &'a [DMatrix<f64>],
     pub pool: &'a Pool,
 }
 
-/// Derivatives of one window by every unknown: 2 nv of its first state if that is free, then the parameters.
+/// Derivatives of one window by every unknown: those of its first state if that is free, then the parameters.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Columns {
     /// per unknown (samples)
@@ -91,10 +94,10 @@ impl Point<'_> {
 
     /// Unknowns of a window's first state.
     pub(crate) fn n_state(&self) -> usize {
-        if self.free_states {
-            2 * self.problem.model.nv()
-        } else {
-            0
+        match self.directions.first() {
+            _ if !self.free_states => 0,
+            Some(directions) => directions.ncols(),
+            None => 2 * self.problem.model.nv(),
         }
     }
 
@@ -154,11 +157,8 @@ impl Point<'_> {
     ) -> Result<Vec<Slope>, SysidError> {
         let n_state = self.n_state();
         let mut x = self.x.to_vec();
-        let mut tangent = vec![0.0; 2 * self.problem.model.nv()];
         let mut moved_controls = Vec::new();
-        if j < n_state {
-            tangent[j] = step;
-        } else {
+        if j >= n_state {
             x[j - n_state] += step;
             if !self.problem.parameters.changes_model(j - n_state) {
                 moved_controls = self.controls(&x);
@@ -171,7 +171,11 @@ impl Point<'_> {
         };
         let slope = |simulator: &mut Simulator<'_>, w: usize| {
             let (window, placed, base) = (&self.windows[w], &self.placed[w], &base[w]);
-            let state = self.states[w].moved(self.problem, &tangent)?;
+            let state = if j < n_state {
+                self.states[w].moved(self.problem, &self.tangent(w, j, step))?
+            } else {
+                self.states[w].clone()
+            };
             let moved = simulator.run(window, &state, &controls[window.trial])?;
             // what diverges this close to what does not has no slope
             let moved = moved.as_ref().unwrap_or(base);
@@ -188,6 +192,17 @@ impl Point<'_> {
         Simulator::with(self.problem, self.pool, &x, |simulator| {
             (from..to).map(|w| slope(simulator, w)).collect()
         })
+    }
+
+    /// (2 nv) along direction `j` of window `w`.
+    fn tangent(&self, w: usize, j: usize, step: f64) -> Vec<f64> {
+        if let Some(directions) = self.directions.get(w) {
+            let own = directions.column(j);
+            return own.iter().map(|d| d * step).collect();
+        }
+        let mut tangent = vec![0.0; 2 * self.problem.model.nv()];
+        tangent[j] = step;
+        tangent
     }
 
     /// Of every trial (knots × nu).

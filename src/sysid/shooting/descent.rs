@@ -208,6 +208,7 @@ impl<'a> Descent<'a> {
             x,
             states,
             free_states: self.settings.free_states,
+            directions: &[],
             pool: self.pool,
         }
     }

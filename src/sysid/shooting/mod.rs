@@ -28,6 +28,7 @@
 pub(crate) mod columns;
 mod conclude;
 mod descent;
+pub(crate) mod loops;
 mod measured;
 mod motion;
 pub mod probe;

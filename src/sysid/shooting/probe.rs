@@ -121,6 +121,7 @@ impl Stretches {
             x,
             states: &self.states,
             free_states: true,
+            directions: &[],
             pool,
         }
     }

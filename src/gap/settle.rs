@@ -1,0 +1,98 @@
+//! First states of windows that a common step does not suit, one window at a time.
+//!
+//! With parameters held, windows have nothing to do with each other. Where friction holds or a stop is met, one
+//! linearisation serves a window badly, and one step for all leaves it far from what the model could do with it: its
+//! misfit then weighs on parameters. Such a window takes steps of its own, each with its own damping:
+//!
+//! ```text
+//! ds = −(RᵀR + λ D)⁻¹ Rᵀ Qᵀ r        until ½ |Qᵀ r|² is a small part of the mean window's cost
+//! ```
+//!
+//! with Q, R of [`super::linear`], at the window's own point.
+
+use super::fit::{Followed, damped};
+use super::linear::{Linear, Row};
+use super::windows::Windows;
+
+/// Part of the mean cost of a window that its state may still take off it.
+const SETTLED: f64 = 0.05;
+/// Steps of a window at most.
+const STEPS: usize = 5;
+const FIRST_DAMPING: f64 = 1e-6;
+const LEAST_DAMPING: f64 = 1e-9;
+const MOST_DAMPING: f64 = 1e2;
+
+impl Windows {
+    /// Brings the windows `here`, at parameters `x`, nearer to what their first states allow; `linear` is of a near
+    /// point. Windows that the engine refuses to follow stay where they are.
+    pub(super) fn settle(&self, x: &[f64], here: &mut [Followed], linear: &Linear) {
+        let total: f64 = here.iter().map(|f| f.cost).sum();
+        let enough = SETTLED * total / here.len() as f64;
+        // what the state could take off, were the window linear
+        let left_in = |row: &Row, f: &Followed| row.basis.tr_mul(&f.weighted(row));
+        let mut left: Vec<usize> = (0..here.len())
+            .filter(|&w| {
+                let row = &linear.rows[w];
+                let same = row.weight.len() == here[w].residual.len();
+                !same || 0.5 * left_in(row, &here[w]).norm_squared() > enough
+            })
+            .collect();
+        if left.is_empty() {
+            return;
+        }
+        let mut held = self.clone();
+        held.problem = self.held(&self.problem, x);
+        held.states = here.iter().map(|f| f.state.clone()).collect();
+        let mut damping = vec![FIRST_DAMPING; here.len()];
+        for _ in 0..STEPS {
+            let some = held.only(&left);
+            let Ok(linear) = some.linearise(&[]) else {
+                return;
+            };
+            let mut states = some.states.clone();
+            let mut tried: Vec<usize> = Vec::new();
+            for (k, &w) in left.iter().enumerate() {
+                let row = &linear.rows[k];
+                let along = left_in(row, &here[w]);
+                let rest = &along + &row.triangle * damped(&row.triangle, &along, damping[w]);
+                if 0.5 * (along.norm_squared() - rest.norm_squared()) <= enough {
+                    continue;
+                }
+                // a step may leave what the engine accepts: then it is none
+                let ds = row.change(&along, damping[w]);
+                let Ok(state) = here[w].state.moved(&some.problem, ds.as_slice()) else {
+                    continue;
+                };
+                states[k] = state;
+                tried.push(k);
+            }
+            if tried.is_empty() {
+                break;
+            }
+            let Ok(found) = some.simulate_some(&[], &states, &tried) else {
+                return;
+            };
+            let mut next = Vec::new();
+            for (&k, found) in tried.iter().zip(found) {
+                let w = left[k];
+                match found {
+                    Some(found) if found.cost < here[w].cost => {
+                        held.states[w] = found.state.clone();
+                        here[w] = found;
+                        damping[w] = (damping[w] * 0.1).max(LEAST_DAMPING);
+                        next.push(w);
+                    }
+                    _ if damping[w] < MOST_DAMPING => {
+                        damping[w] *= 100.0;
+                        next.push(w);
+                    }
+                    _ => {}
+                }
+            }
+            left = next;
+            if left.is_empty() {
+                break;
+            }
+        }
+    }
+}
