@@ -6,7 +6,7 @@
 //!
 //! - significant: p × number of candidates below [`Limits::family_p`],
 //! - of practical size: its response at least [`Limits::size`] of that of the motors, its gain at least
-//!   [`Limits::gain`] of the cost,
+//!   [`Limits::gain`] of what the noise of the sensors does not explain of the cost,
 //! - and of use where it was not fitted: `held_gain` above its standard error.
 
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ pub struct Limits {
     pub family_p: f64,
     /// response, as a part of that of the motors
     pub size: f64,
-    /// fall of the cost, as a part of it
+    /// fall of the cost, as a part of what noise does not explain of it
     pub gain: f64,
 }
 
@@ -35,7 +35,7 @@ impl Default for Limits {
         Self {
             family_p: 0.001,
             size: 0.01,
-            gain: 0.01,
+            gain: 0.03,
         }
     }
 }
@@ -54,6 +54,8 @@ const ROUGH_ITERATIONS: usize = 5;
 const FIRST_ITERATIONS: usize = 40;
 /// Chance that a kept effect is none, above which it goes.
 const LEAVES: f64 = 0.01;
+/// Part of the cost that noise is not taken to explain, whatever it is told to be.
+const UNEXPLAINED: f64 = 0.1;
 /// A part of the base model's cost: less of a fall and the effect is not kept.
 const REAL: f64 = 0.3;
 
@@ -173,13 +175,25 @@ impl<'a> Search<'a> {
     /// Candidates that are worth a place in the model, best first.
     pub(super) fn worthy<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
         let tests = tests(screen);
+        let cost = self.unexplained(screen);
         let mut worthy: Vec<(&Candidate, f64)> = (screen.candidates.iter())
             .filter_map(|c| Some((c, c.score.as_ref()?)))
-            .filter(|(c, s)| self.is_worthy(c, s, tests, screen.normal.cost()))
+            .filter(|(c, s)| self.is_worthy(c, s, tests, cost))
             .map(|(c, s)| (c, s.held_gain))
             .collect();
         worthy.sort_by(|a, b| b.1.total_cmp(&a.1));
         worthy.into_iter().map(|(c, _)| c).collect()
+    }
+
+    /// Cost that the noise of the sensors does not explain.
+    fn unexplained(&self, screen: &Screen) -> f64 {
+        let channels = &self.windows.problem.channels;
+        let rows = screen.linear.rows.iter().flat_map(|row| &row.channel);
+        let noise: f64 = rows
+            .map(|&c| 0.5 * (self.noise[c] / channels[c].sigma).powi(2))
+            .sum();
+        let cost = screen.normal.cost();
+        (cost - noise).max(UNEXPLAINED * cost)
     }
 
     fn is_worthy(&self, c: &Candidate, s: &Score, tests: usize, cost: f64) -> bool {

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::ShootingSettings;
 use super::columns::{Columns, Point};
+use super::loops::Loops;
 use super::rows::Rows;
 use super::simulate::{Pool, Simulated};
 use super::window::{Placed, State, Window, place};
@@ -42,6 +43,8 @@ pub(super) struct Descent<'a> {
     pub(super) placed: Vec<Vec<Placed>>,
     pub(super) x: Vec<f64>,
     states: Vec<State>,
+    /// that states change along, see [`super::loops`]; none: everything
+    directions: Vec<DMatrix<f64>>,
     pub(super) simulated: Vec<Simulated>,
     linear: Option<Linear>,
     damping: f64,
@@ -123,12 +126,19 @@ impl<'a> Descent<'a> {
             windows,
             x,
             states,
+            directions: Vec::new(),
             simulated: Vec::new(),
             linear: None,
             damping: FIRST_DAMPING,
             foreseen: f64::INFINITY,
             history: Vec::new(),
         };
+        if let Some(mut loops) = descent.loops(&descent.x)? {
+            for state in &mut descent.states {
+                *state = loops.close(state)?;
+            }
+            descent.directions = loops.directions(&descent.states)?;
+        }
         let simulated = descent.point(&descent.x, &descent.states).simulate()?;
         let simulated: Option<Vec<Simulated>> = simulated.into_iter().collect();
         descent.simulated = simulated.ok_or_else(|| SysidError::Setting {
@@ -200,6 +210,15 @@ impl<'a> Descent<'a> {
         Ok(status)
     }
 
+    /// Where first states are unknown, and need not lead from one window to the next.
+    fn loops(&self, x: &[f64]) -> Result<Option<Loops>, SysidError> {
+        if self.settings.free_states && self.settings.jump_sigma.is_none() {
+            Loops::new(self.problem, x)
+        } else {
+            Ok(None)
+        }
+    }
+
     fn point<'b>(&'b self, x: &'b [f64], states: &'b [State]) -> Point<'b> {
         Point {
             problem: self.problem,
@@ -208,7 +227,7 @@ impl<'a> Descent<'a> {
             x,
             states,
             free_states: self.settings.free_states,
-            directions: &[],
+            directions: &self.directions,
             pool: self.pool,
         }
     }
@@ -229,17 +248,18 @@ impl<'a> Descent<'a> {
 
     /// The linearised problem, window by window.
     pub(super) fn rows(&mut self) -> Result<Vec<Rows>, SysidError> {
-        let point = self.point(&self.x, &self.states);
-        let linear = match &self.linear {
-            Some(linear) if self.is_near(linear) => None,
-            _ => Some(Linear {
+        if !(self.linear.as_ref()).is_some_and(|linear| self.is_near(linear)) {
+            if let Some(mut loops) = self.loops(&self.x)? {
+                self.directions = loops.directions(&self.states)?;
+            }
+            let point = self.point(&self.x, &self.states);
+            self.linear = Some(Linear {
                 columns: point.columns(&self.simulated)?,
                 x: self.x.clone(),
                 states: self.states.clone(),
                 placed: self.placed.clone(),
-            }),
-        };
-        self.linear = linear.or(self.linear.take());
+            });
+        }
         let columns = self.linear.iter().flat_map(|l| &l.columns);
         let point = self.point(&self.x, &self.states);
         (columns.enumerate())
@@ -288,7 +308,7 @@ impl<'a> Descent<'a> {
         Ok(None)
     }
 
-    /// The point at parameters `x` and the states after `changes` (windows × 2 nv); `None` where it diverges.
+    /// The point at parameters `x` and the states after `changes` (windows × unknowns of each); `None` where it diverges.
     ///
     /// Windows that know nothing of each other each take the part of their change that suits them best, where the whole
     /// of it does not lower their cost: one that stands before a kink, as where a joint begins to stick, must not hold
@@ -306,7 +326,7 @@ impl<'a> Descent<'a> {
         let mut best: Vec<Option<(f64, State, Simulated)>> = vec![None; self.windows.len()];
         let mut left: Vec<usize> = (0..self.windows.len()).collect();
         for part in parts {
-            let states = self.moved(changes, *part)?;
+            let states = self.moved(changes, *part, x)?;
             let point = self.point(x, &states);
             // a step may leave what the engine accepts: then it is none
             let Ok(simulated) = point.simulate_some(&left) else {
@@ -424,22 +444,32 @@ impl<'a> Descent<'a> {
         solve_in_box(&normal, &right, &low, &high)
     }
 
-    /// States after a part of their changes.
-    fn moved(&self, changes: &[f64], part: f64) -> Result<Vec<State>, SysidError> {
+    /// States after a part of their changes, on the loops of the model with parameters `x`.
+    fn moved(&self, changes: &[f64], part: f64, x: &[f64]) -> Result<Vec<State>, SysidError> {
         let n_state = self.n_state();
         if n_state == 0 {
             return Ok(self.states.clone());
         }
-        (self.states.iter().zip(changes.chunks_exact(n_state)))
-            .map(|(state, change)| {
-                let change: Vec<f64> = change.iter().map(|c| part * c).collect();
-                state.moved(self.problem, &change)
+        let mut loops = self.loops(x)?;
+        let each = self.states.iter().zip(changes.chunks_exact(n_state));
+        each.enumerate()
+            .map(|(w, (state, change))| {
+                let change = part * DVector::from_column_slice(change);
+                let change = match self.directions.get(w) {
+                    Some(directions) => directions * change,
+                    None => change,
+                };
+                let moved = state.moved(self.problem, change.as_slice())?;
+                match &mut loops {
+                    Some(loops) => loops.close(&moved),
+                    None => Ok(moved),
+                }
             })
             .collect()
     }
 }
 
-/// Changes of all states (windows × 2 nv) for a step of the parameters.
+/// Changes of all states (windows × unknowns of each) for a step of the parameters.
 pub(super) fn changes(arrows: &[Arrow], dx: &[f64]) -> Vec<f64> {
     arrows.iter().flat_map(|a| a.back_substitute(dx)).collect()
 }
