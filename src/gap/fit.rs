@@ -185,7 +185,8 @@ impl Windows {
                 step: taken.part * step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs())),
                 x: x.clone(),
             };
-            if !watch(&record) || taken.part == 1.0 && step.far < NEAR {
+            let near = taken.part == 1.0 && step.far < NEAR && !x.is_empty();
+            if !watch(&record) || near {
                 break;
             }
         }

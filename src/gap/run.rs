@@ -275,20 +275,42 @@ pub(super) fn begin<'a>(
     let mut cut = Windows::cut(&whole, &start, length, options.most_windows)?;
     let rules = &input.config.parameter;
     let limits = (options.limits, options.effects.clone());
+    let held_out = held_out(input, &config, length, options.most_windows)?;
     if let Some(known) = stages::load::<Fit>(keeper, "fit") {
         let noise = cut.problem.channels.iter().map(|c| c.sigma).collect();
         if let Some(at) = known.restore(&mut cut) {
             let of = (input.model, rules.as_slice());
-            return Ok((whole, Search::at(of, cut, limits, noise, at)?));
+            let search = Search::at(of, cut, limits, noise, at)?;
+            return Ok((whole, Search { held_out, ..search }));
         }
     }
     let of = (input.model, rules.as_slice());
     let search = Search::new(of, cut, &limits, watch)?;
+    let search = Search { held_out, ..search };
     watch.go_on()?;
     excited(&search)?;
     let fit = Fit::of(&search.windows, &search.x, search.cost);
     stages::save(keeper, "fit", &fit);
     Ok((whole, search))
+}
+
+/// Windows of the held-out recordings, if there are any.
+fn held_out(
+    input: &Input<'_>,
+    config: &ProblemConfig,
+    length_s: f64,
+    most: usize,
+) -> Result<Option<Windows>, GapError> {
+    if input.holdout.is_empty() {
+        return Ok(None);
+    }
+    // what cannot be estimated from is compared all the same
+    let Ok(problem) = Problem::new(Arc::clone(&input.model.model), config, input.holdout) else {
+        return Ok(None);
+    };
+    let start = problem.parameters.start();
+    let most = most.div_ceil(2);
+    Ok(Some(Windows::cut(&problem, &start, length_s, most)?))
 }
 
 /// The present model with its numbers.

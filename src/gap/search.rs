@@ -7,7 +7,8 @@
 //! - significant: p × number of candidates below [`Limits::family_p`],
 //! - of practical size: its response at least [`Limits::size`] of that of the motors, its gain at least
 //!   [`Limits::gain`] of what the noise of the sensors does not explain of the cost,
-//! - and of use where it was not fitted: `held_gain` above its standard error.
+//! - and of use where it was not fitted: `held_gain` above its standard error, and held-out recordings cost less with it
+//!   than without, their first states alone estimated.
 
 use serde::{Deserialize, Serialize};
 
@@ -68,6 +69,8 @@ pub(super) struct Search<'a> {
     /// names of those to look for; none: all
     pub effects: Vec<String>,
     pub windows: Windows,
+    /// of the held-out recordings, if there are any
+    pub held_out: Option<Windows>,
     pub stretch_of: Vec<usize>,
     /// of every channel, as told
     pub noise: Vec<f64>,
@@ -148,6 +151,7 @@ impl<'a> Search<'a> {
             x,
             cost,
             windows,
+            held_out: None,
         })
     }
 
@@ -228,6 +232,7 @@ impl<'a> Search<'a> {
                 rivals.push(c);
             }
         }
+        let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
         let mut best: Option<(Fitted, &Candidate)> = None;
         for c in rivals {
             let mut chosen = self.chosen.clone();
@@ -241,7 +246,11 @@ impl<'a> Search<'a> {
             };
             let expected = c.score.as_ref().map_or(0.0, |s| s.gain);
             let real = self.cost - fitted.cost >= REAL * expected;
-            if real && best.as_ref().is_none_or(|(b, _)| fitted.cost < b.cost) {
+            if !real || best.as_ref().is_some_and(|(b, _)| fitted.cost >= b.cost) {
+                continue;
+            }
+            let held = self.held_cost(&fitted.built, &fitted.windows, &fitted.x)?;
+            if held_before.is_none_or(|before| held.is_some_and(|held| held < before)) {
                 best = Some((fitted, c));
             }
         }
@@ -258,6 +267,37 @@ impl<'a> Search<'a> {
         self.take(fitted);
         self.settle(watch)?;
         Ok(true)
+    }
+
+    /// Cost of the held-out recordings with parameters as fitted to `windows`, weighed like those; none without such
+    /// recordings, or where the model does not follow them.
+    fn held_cost(
+        &self,
+        built: &Built,
+        windows: &Windows,
+        x: &[f64],
+    ) -> Result<Option<f64>, GapError> {
+        let Some(mut held) = self.held_out.clone() else {
+            return Ok(None);
+        };
+        let Ok(problem) = built.problem(&held.problem) else {
+            return Ok(None);
+        };
+        held.problem = windows.held(&problem, x);
+        // as the present model's, whichever is looked at
+        for own in &self.windows.problem.channels {
+            let same = (held.problem.channels.iter_mut()).find(|c| c.name == own.name);
+            if let Some(channel) = same {
+                channel.sigma = own.sigma;
+            }
+        }
+        held.factor = windows.factor;
+        let whole = held.len();
+        match held.fit(&[], ITERATIONS, &mut |_| true) {
+            Ok(fit) => Ok((held.len() == whole).then_some(fit.cost)),
+            Err(crate::sysid::SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
+            Err(_) => Ok(None),
+        }
     }
 
     /// Weighs the channels by what is left now, and fits again.

@@ -183,8 +183,7 @@ impl Windows {
         self.problem.trials.iter().enumerate().map(window).collect()
     }
 
-    /// The problem with another model of the same state, parameters held at `x`; `rules` of that model, those of the
-    /// present one first.
+    /// Another problem with its parameters held at what those of the same name are here at `x`.
     pub(super) fn held(&self, problem: &Problem, x: &[f64]) -> Problem {
         let values = self.problem.parameters.values(x);
         let names = &self.problem.parameters.all;
