@@ -261,6 +261,19 @@ impl Linear {
         Ok(Column { parts, raw })
     }
 
+    /// Squared length of what happens to each channel, of rows per window.
+    pub(super) fn by_channel(&self, parts: &[DVector<f64>]) -> Vec<f64> {
+        let channels = self.rows.iter().flat_map(|row| &row.channel);
+        let n = channels.max().map_or(0, |most| most + 1);
+        let mut squares = vec![0.0; n];
+        for (row, part) in self.rows.iter().zip(parts) {
+            for (c, value) in row.channel.iter().zip(part.iter()) {
+                squares[*c] += value * value;
+            }
+        }
+        squares
+    }
+
     /// What the motors do to the readings, at parameters `x` of `windows`; none where there are none.
     ///
     /// # Errors

@@ -33,6 +33,8 @@ const LOOKS: usize = 2;
 const AGAIN: usize = 16;
 /// Part of the size tried first below which there is nothing to look at.
 const LEAST_AGAIN: f64 = 0.02;
+/// Part of a response that a channel must show to count.
+const SHOWN: f64 = 0.1;
 /// Factor of a threshold's column that still means about that threshold.
 const ALL_OR_NOTHING: [f64; 2] = [0.4, 2.5];
 
@@ -49,7 +51,7 @@ pub(super) struct Candidate {
     pub parameters: Vec<usize>,
     /// none: nothing of it can be seen
     pub score: Option<Score>,
-    /// length of its response over that of the motors'; none without motors
+    /// length of its response over that of the motors', where it shows most; none without motors
     pub size: Option<f64>,
     /// whether the expected values make sense
     pub sensible: bool,
@@ -122,20 +124,21 @@ impl Look<'_> {
             self.look_again(&all, &found, &linear, &normal, &mut columns)?;
             normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
         }
-        let length = |c: &Column| {
-            c.parts
-                .iter()
-                .map(DVector::norm_squared)
-                .sum::<f64>()
-                .sqrt()
-        };
-        let motors = linear.motors(self.windows, self.x)?.as_ref().map(length);
-        let motors = motors.filter(|m| *m > 0.0);
+        let motors = linear.motors(self.windows, self.x)?;
+        let motors = motors.map(|m| linear.by_channel(&m.parts));
+        let motors = motors.as_deref();
         let mut best: BTreeMap<usize, Candidate> = BTreeMap::new();
         for (i, variant, own) in found {
             let (effect, place) = &all[i];
             let candidate = candidate(
-                *effect, place, &variant, own, &normal, &columns, motors, self,
+                *effect,
+                place,
+                &variant,
+                own,
+                (&normal, &linear),
+                &columns,
+                motors,
+                self,
             );
             let held = |c: &Candidate| {
                 let score = c.score.as_ref().filter(|_| c.sensible);
@@ -337,9 +340,9 @@ fn candidate(
     place: &Place,
     variant: &Variant,
     own: Vec<usize>,
-    normal: &Normal,
+    (normal, linear): (&Normal, &Linear),
     columns: &[Column],
-    motors: Option<f64>,
+    motors: Option<&[f64]>,
     look: &Look<'_>,
 ) -> Candidate {
     let parameters = effect.about().parameters;
@@ -364,15 +367,16 @@ fn candidate(
                 }
             }
         }
-        let mut square = 0.0;
-        for w in 0..look.windows.len() {
-            let mut sum = columns[own[0]].parts[w].clone() * score.expected[0];
-            for (c, beta) in own.iter().zip(&score.expected).skip(1) {
-                sum.axpy(*beta, &columns[*c].parts[w], 1.0);
-            }
-            square += sum.norm_squared();
-        }
-        size = motors.map(|m| square.sqrt() / m);
+        let response: Vec<DVector<f64>> = (0..look.windows.len())
+            .map(|w| {
+                let mut sum = columns[own[0]].parts[w].clone() * score.expected[0];
+                for (c, beta) in own.iter().zip(&score.expected).skip(1) {
+                    sum.axpy(*beta, &columns[*c].parts[w], 1.0);
+                }
+                sum
+            })
+            .collect();
+        size = motors.and_then(|m| largest_part(&linear.by_channel(&response), m));
     }
     Candidate {
         effect,
@@ -384,6 +388,17 @@ fn candidate(
         size,
         sensible,
     }
+}
+
+/// Length of a response over that of the motors, of the channel where it is largest among those that show most of it:
+/// what motors do elsewhere, as to an object they throw, says nothing of its size. None where motors do nothing.
+fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
+    let total: f64 = response.iter().sum();
+    let shown = response
+        .iter()
+        .zip(motors)
+        .filter(|(r, m)| **r >= SHOWN * total && **m > 0.0);
+    shown.map(|(r, m)| (r / m).sqrt()).reduce(f64::max)
 }
 
 /// Σ J̃ᵀJ̃ of the parameters with their priors, and the gradient of the cost.
@@ -413,4 +428,19 @@ pub(super) fn prior(parameters: &Parameters, x: &[f64]) -> Vec<(f64, f64)> {
         }
     })
     .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_is_judged_where_it_shows() {
+        // squared lengths of a joint's channel and of an object's that motors throw far
+        let (friction, motors) = ([4.0, 0.2], [100.0, 1e12]);
+        assert_eq!(largest_part(&friction, &motors), Some(0.2));
+        // seen at the object alone it is as small as it looks
+        assert_eq!(largest_part(&[0.0, 1e8], &motors), Some(0.01));
+        assert_eq!(largest_part(&friction, &[0.0, 0.0]), None);
+    }
 }
