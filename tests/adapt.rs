@@ -1,11 +1,13 @@
 //! The loop in small: recordings, posterior, training, test; found again when it goes on.
 
+mod common;
+
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
 use std::sync::Arc;
 
+use common::program::phantom;
 use phantom::adapt::{AdaptConfig, Adaptation, Found, Missing, Round, Watch};
 use phantom::mujoco::Model;
 use phantom::rig::Rig;
@@ -20,15 +22,6 @@ const PARAMETERS: &str =
     "[[parameter]]\nelement = \"body/p0_forearm\"\nattribute = \"mass\"\nprior_sigma = 1.0\n";
 const SETTINGS: &str = "rounds = 1\nseconds = 0.1\nmodels = 4\nrollouts = 1\nmax_effects = 0\nidentify_method = \"joint\"\nidentify_timestep_s = 0.002\n\
     identify_iterations = 5\n[training.train]\niterations = 1\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
-
-fn phantom(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_phantom"))
-        .current_dir(folder)
-        .env("PHANTOM_ROOT", env!("CARGO_MANIFEST_DIR"))
-        .args(args)
-        .output()
-        .expect("the program starts")
-}
 
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");

@@ -14,10 +14,8 @@ use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
-use crate::mujoco::{Data, Jacobian, Model, MujocoError};
+use crate::mujoco::{Data, Model, MujocoError};
 
-/// `mjCNSTR_EQUALITY`
-const EQUALITY: i32 = 0;
 const ITERATIONS: usize = 20;
 /// m or rad
 const TOLERANCE: f64 = 1e-10;
@@ -35,11 +33,7 @@ pub(super) struct Closure {
 impl Closure {
     /// Find the passive degrees of freedom, at the model's initial state.
     pub(super) fn new(model: &Model) -> Result<Self, MujocoError> {
-        let mut own = model.try_clone()?;
-        let mut option = own.option();
-        option.jacobian = Jacobian::Dense;
-        own.edit().set_option(&option)?;
-        let mut data = Data::new(Arc::new(own))?;
+        let mut data = Data::new(Arc::new(model.with_dense_jacobian()?))?;
         data.forward()?;
         let (j, _) = equality(&data);
         let nv = model.nv();
@@ -129,9 +123,7 @@ impl Closure {
 /// Jacobian (rows × nv) and residual of the equality constraints of the last position stage.
 fn equality(data: &Data) -> (DMatrix<f64>, Vec<f64>) {
     let nv = data.model().nv();
-    let rows: Vec<usize> = (0..data.nefc())
-        .filter(|i| data.efc_type()[*i] == EQUALITY)
-        .collect();
+    let rows = data.equality_rows();
     let j = DMatrix::from_fn(rows.len(), nv, |r, c| data.efc_J()[rows[r] * nv + c]);
     let residual = rows.iter().map(|i| data.efc_pos()[*i]).collect();
     (j, residual)

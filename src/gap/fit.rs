@@ -6,12 +6,12 @@
 //!
 //! with P the precision of priors, bounds kept, and Q, R, J̃, r̃ of [`super::linear`]. r is simulated exactly after each
 //! step; J and Q, which cost a simulation an unknown, are only where the cost does not fall as they foretell. Windows
-//! know nothing of each other: each takes the part of its ds that suits it, and those that friction or stops bend goes
-//! on by itself ([`super::settle`]).
+//! know nothing of each other: each takes the part of its ds that suits it, and those that friction or stops bend go on
+//! by themselves ([`super::settle`]).
 
 use nalgebra::{DMatrix, DVector};
 
-use super::linear::{Linear, Row};
+use super::linear::{LEAST_INFORMATION, Linear, Row, damped};
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::box_qp::solve_in_box;
@@ -38,8 +38,6 @@ const LOG_STEP: f64 = 1.0;
 const PARTS: [f64; 3] = [1.0, 0.3, 0.1];
 /// Parts of the change of a window's state that are tried.
 const STATE_PARTS: [f64; 3] = [1.0, 0.3, 0.0];
-/// Information that a parameter is taken to have at least.
-const LEAST_INFORMATION: f64 = 1e-12;
 
 /// Where a fit ended.
 #[derive(Debug, Clone)]
@@ -341,8 +339,14 @@ impl Step {
     fn changes(&self, linear: &Linear, part: f64) -> Vec<DVector<f64>> {
         let change = part * DVector::from_column_slice(&self.dx);
         let each = linear.rows.iter().zip(&self.along);
-        each.map(|(row, along)| row.change(&(along + &row.along * &change), RIDGE))
-            .collect()
+        each.map(|(row, along)| {
+            row.change(damped(
+                &row.triangle,
+                &(along + &row.along * &change),
+                RIDGE,
+            ))
+        })
+        .collect()
     }
 }
 
@@ -386,17 +390,4 @@ fn box_of(
         high[i] = (upper - x[i]).min(most);
     }
     (low, high)
-}
-
-/// Least squares of R ds + b, each unknown held back in proportion to what is known of it.
-pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
-    let mut normal = triangle.tr_mul(triangle);
-    for i in 0..normal.nrows() {
-        normal[(i, i)] += damping * normal[(i, i)] + LEAST_INFORMATION;
-    }
-    let right = -triangle.tr_mul(b);
-    match normal.cholesky() {
-        Some(factor) => factor.solve(&right),
-        None => DVector::zeros(right.len()),
-    }
 }

@@ -6,7 +6,6 @@ use super::effect;
 use super::run::Input;
 use super::search::Search;
 use super::{GapError, windows};
-use crate::recording::Recording;
 use crate::sysid::problem::{ChannelRule, Problem, ProblemConfig};
 
 /// Standard deviation of a parameter, in changes that matter, from which the recordings say nothing of it.
@@ -100,18 +99,13 @@ pub(super) fn same_channels(
     if input.holdout.is_empty() {
         return Ok(());
     }
+    let known: Vec<&String> = (input.train.iter())
+        .map(|(_, r)| &r.meta.model_hash)
+        .filter(|hash| !hash.is_empty())
+        .collect();
     for (name, recording) in input.holdout {
-        let hashes = |r: &[(String, Recording)]| -> Vec<String> {
-            r.iter()
-                .map(|(_, r)| r.meta.model_hash.clone())
-                .filter(|h| !h.is_empty())
-                .collect()
-        };
         let own = &recording.meta.model_hash;
-        if let Some(other) = hashes(input.train)
-            .iter()
-            .find(|h| !own.is_empty() && *h != own)
-        {
+        if let Some(other) = (known.iter()).find(|hash| !own.is_empty() && **hash != own) {
             let reason = format!(
                 "held-out recording `{name}` is of another model than the training recordings ({own}, {other})"
             );

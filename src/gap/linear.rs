@@ -12,7 +12,6 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::coarse;
-use super::fit::damped;
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::problem::Problem;
@@ -23,6 +22,8 @@ use crate::sysid::shooting::window::{Placed, State, Window, place};
 
 /// Part of a column's length that must be its own for it to count.
 const OWN: f64 = 1e-6;
+/// Information that an unknown is taken to have at least.
+pub(super) const LEAST_INFORMATION: f64 = 1e-12;
 
 /// A window's rows: whitened, what its first state explains taken out.
 #[derive(Debug, Clone)]
@@ -164,13 +165,25 @@ impl Windows {
 }
 
 impl Row {
-    /// (2 nv) change of the first state that takes `wanted` off Qᵀ r, damped in proportion to what is known of it.
-    pub(super) fn change(&self, wanted: &DVector<f64>, damping: f64) -> DVector<f64> {
-        let own = damped(&self.triangle, wanted, damping);
+    /// (2 nv) a change `own` (n) of the unknowns as one of the first state.
+    pub(super) fn change(&self, own: DVector<f64>) -> DVector<f64> {
         match &self.directions {
             Some(directions) => directions * own,
             None => own,
         }
+    }
+}
+
+/// Least squares of R ds + b, each unknown held back in proportion to what is known of it.
+pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
+    let mut normal = triangle.tr_mul(triangle);
+    for i in 0..normal.nrows() {
+        normal[(i, i)] += damping * normal[(i, i)] + LEAST_INFORMATION;
+    }
+    let right = -triangle.tr_mul(b);
+    match normal.cholesky() {
+        Some(factor) => factor.solve(&right),
+        None => DVector::zeros(right.len()),
     }
 }
 

@@ -138,6 +138,7 @@ pub fn resume(
         stopped: false,
     };
     let (whole, mut search) = begin(input, options, keeper, &mut watch)?;
+    search.held_out = held_out(input, search.windows.length_s, options.most_windows)?;
     let before = machine(&search)?;
     let screened = |screen: Option<Screen>| screen.ok_or(GapError::Stopped);
     let mut screen: Option<Screen> = None;
@@ -275,18 +276,15 @@ pub(super) fn begin<'a>(
     let mut cut = Windows::cut(&whole, &start, length, options.most_windows)?;
     let rules = &input.config.parameter;
     let limits = (options.limits, options.effects.clone());
-    let held_out = held_out(input, &config, length, options.most_windows)?;
     if let Some(known) = stages::load::<Fit>(keeper, "fit") {
         let noise = cut.problem.channels.iter().map(|c| c.sigma).collect();
         if let Some(at) = known.restore(&mut cut) {
             let of = (input.model, rules.as_slice());
-            let search = Search::at(of, cut, limits, noise, at)?;
-            return Ok((whole, Search { held_out, ..search }));
+            return Ok((whole, Search::at(of, cut, limits, noise, at)?));
         }
     }
     let of = (input.model, rules.as_slice());
     let search = Search::new(of, cut, &limits, watch)?;
-    let search = Search { held_out, ..search };
     watch.go_on()?;
     excited(&search)?;
     let fit = Fit::of(&search.windows, &search.x, search.cost);
@@ -295,17 +293,13 @@ pub(super) fn begin<'a>(
 }
 
 /// Windows of the held-out recordings, if there are any.
-fn held_out(
-    input: &Input<'_>,
-    config: &ProblemConfig,
-    length_s: f64,
-    most: usize,
-) -> Result<Option<Windows>, GapError> {
+fn held_out(input: &Input<'_>, length_s: f64, most: usize) -> Result<Option<Windows>, GapError> {
     if input.holdout.is_empty() {
         return Ok(None);
     }
+    let (model, config) = (Arc::clone(&input.model.model), judged(input)?);
     // what cannot be estimated from is compared all the same
-    let Ok(problem) = Problem::new(Arc::clone(&input.model.model), config, input.holdout) else {
+    let Ok(problem) = Problem::new(model, &config, input.holdout) else {
         return Ok(None);
     };
     let start = problem.parameters.start();

@@ -10,8 +10,8 @@
 //!
 //! with Q, R of [`super::linear`], at the window's own point.
 
-use super::fit::{Followed, damped};
-use super::linear::{Linear, Row};
+use super::fit::Followed;
+use super::linear::{Linear, Row, damped};
 use super::windows::Windows;
 
 /// Part of the mean cost of a window that its state may still take off it.
@@ -54,12 +54,13 @@ impl Windows {
             for (k, &w) in left.iter().enumerate() {
                 let row = &linear.rows[k];
                 let along = left_in(row, &here[w]);
-                let rest = &along + &row.triangle * damped(&row.triangle, &along, damping[w]);
+                let own = damped(&row.triangle, &along, damping[w]);
+                let rest = &along + &row.triangle * &own;
                 if 0.5 * (along.norm_squared() - rest.norm_squared()) <= enough {
                     continue;
                 }
                 // a step may leave what the engine accepts: then it is none
-                let ds = row.change(&along, damping[w]);
+                let ds = row.change(own);
                 let Ok(state) = here[w].state.moved(&some.problem, ds.as_slice()) else {
                     continue;
                 };

@@ -138,6 +138,14 @@ impl Data {
         self.raw().nefc.max(0) as usize
     }
 
+    /// Rows of `efc_*` that are equality constraints.
+    pub fn equality_rows(&self) -> Vec<usize> {
+        const EQUALITY: i32 = 0; // mjCNSTR_EQUALITY
+        (0..self.nefc())
+            .filter(|&row| self.efc_type()[row] == EQUALITY)
+            .collect()
+    }
+
     /// Iterations of the last constraint solve.
     pub fn solver_iterations(&self) -> usize {
         self.raw().solver_iter.max(0) as usize

@@ -163,6 +163,18 @@ impl Model {
         })
     }
 
+    /// A copy whose constraint Jacobians are dense: [`Data::efc_J`](super::Data::efc_J) is then nefc × nv.
+    ///
+    /// # Errors
+    /// As [`Model::try_clone`].
+    pub fn with_dense_jacobian(&self) -> Result<Self> {
+        let mut own = self.try_clone()?;
+        let mut option = own.option();
+        option.jacobian = Jacobian::Dense;
+        own.edit().set_option(&option)?;
+        Ok(own)
+    }
+
     /// This model with physics beyond the engine's in every simulation made of it or of its copies.
     #[must_use]
     pub fn with_extension(mut self, extension: Arc<dyn Extension>) -> Self {

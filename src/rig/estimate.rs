@@ -15,10 +15,8 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use super::axes::Axis;
-use crate::mujoco::{Data, Jacobian, Model, MujocoError};
+use crate::mujoco::{Data, Model, MujocoError};
 
-/// `mjtConstraint` of the engine's model format.
-const EQUALITY: i32 = 0;
 /// Singular values below this share of 1 are no constraint.
 const RANK_TOLERANCE: f64 = 1e-9;
 
@@ -42,13 +40,8 @@ impl Estimate {
     /// # Errors
     /// When the engine refuses.
     pub fn new(model: &Model, axes: &[Axis], qpos: &[f64]) -> Result<Self, MujocoError> {
-        let mut model = model.try_clone()?;
-        let mut option = model.option();
-        option.jacobian = Jacobian::Dense; // rows of E are read as such
-        let mut edit = model.edit();
-        edit.set_option(&option)?;
-        edit.set_sensors(false);
-        drop(edit);
+        let mut model = model.with_dense_jacobian()?;
+        model.edit().set_sensors(false);
         let object = object_address(&model);
         let mut data = Data::new(Arc::new(model))?;
         data.qpos_mut().copy_from_slice(qpos);
@@ -191,9 +184,7 @@ fn object_address(model: &Model) -> Option<usize> {
 /// G at the state of `data`.
 fn reduction(data: &Data, axes: &[Axis]) -> DMatrix<f64> {
     let nv = data.model().nv();
-    let rows: Vec<usize> = (0..data.nefc())
-        .filter(|&i| data.efc_type()[i] == EQUALITY)
-        .collect();
+    let rows = data.equality_rows();
     let is_axis = |dof: usize| axes.iter().any(|axis| axis.dof == dof);
     let passive: Vec<usize> = (0..nv).filter(|&dof| !is_axis(dof)).collect();
     let entry = |i: usize, dof: usize| data.efc_J()[rows[i] * nv + dof];

@@ -48,12 +48,8 @@ impl<'a> Pose<'a> {
                 (value - goal) / channel.sigma
             })
             .collect();
-        let n_equality = equality_rows(&self.data);
-        out.extend(
-            self.data.efc_pos()[..n_equality]
-                .iter()
-                .map(|e| e / EQUALITY_SIGMA),
-        );
+        let open = self.data.equality_rows().into_iter();
+        out.extend(open.map(|row| self.data.efc_pos()[row] / EQUALITY_SIGMA));
         Ok(out)
     }
 
@@ -140,13 +136,4 @@ impl<'a> Pose<'a> {
         }
         Ok(())
     }
-}
-
-/// Constraint rows that are equalities: they come first.
-fn equality_rows(data: &Data) -> usize {
-    const EQUALITY: i32 = 0; // mjCNSTR_EQUALITY
-    data.efc_type()[..data.nefc()]
-        .iter()
-        .take_while(|&&t| t == EQUALITY)
-        .count()
 }

@@ -1,26 +1,20 @@
 //! The built program: exit codes, messages, files.
 
+#[path = "../common/mod.rs"]
+mod common;
 mod refused;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
+
+use common::program::phantom;
 
 const SMALL: &str =
     "[train]\niterations = 2\ntrajectories = 16\ntrajectory_s = 0.1\nevaluate_every = 0\n";
 
 fn model() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("xml/phantom.xml")
-}
-
-/// Runs the program in `folder`.
-fn phantom(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_phantom"))
-        .current_dir(folder)
-        .env("PHANTOM_ROOT", env!("CARGO_MANIFEST_DIR"))
-        .args(args)
-        .output()
-        .expect("the program starts")
 }
 
 fn text(bytes: &[u8]) -> String {

@@ -1,7 +1,6 @@
 //! The program with supplemented models: training, evaluation, rigs, comparisons.
 
 use std::path::Path;
-use std::process::{Command, Output};
 use std::sync::Arc;
 
 use phantom::compare::{self, Settings};
@@ -10,6 +9,8 @@ use phantom::mujoco::Model;
 use phantom::recording::Recording;
 use phantom::rig::{Rig, RigConfig, Trial, behaviour};
 use phantom::supplement;
+
+use crate::common::program::phantom;
 
 fn shipped() -> String {
     std::fs::read_to_string("xml/phantom.xml").expect("the shipped model")
@@ -46,15 +47,6 @@ fn supplemented() -> String {
 
 fn model(text: &str) -> Model {
     supplement::load_text(text, "xml/phantom.xml").unwrap_or_else(|e| panic!("{e}"))
-}
-
-fn phantom(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_phantom"))
-        .current_dir(folder)
-        .env("PHANTOM_ROOT", env!("CARGO_MANIFEST_DIR"))
-        .args(args)
-        .output()
-        .expect("the program starts")
 }
 
 fn succeeds(folder: &Path, args: &[&str]) -> String {

@@ -16,12 +16,10 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::window::State;
-use crate::mujoco::{Data, Jacobian, Model};
+use crate::mujoco::{Data, Model};
 use crate::sysid::SysidError;
 use crate::sysid::problem::Problem;
 
-/// `mjCNSTR_EQUALITY`
-const EQUALITY: i32 = 0;
 /// Time constant above which a constraint is a spring, s.
 const QUICK_S: f64 = 0.03;
 const ITERATIONS: usize = 5;
@@ -53,11 +51,7 @@ impl Loops {
         if !model.eq_solref().chunks_exact(2).any(is_quick) {
             return Ok(None);
         }
-        let mut own = model.try_clone()?;
-        let mut option = own.option();
-        option.jacobian = Jacobian::Dense;
-        own.edit().set_option(&option)?;
-        let data = Data::new(Arc::new(own))?;
+        let data = Data::new(Arc::new(model.with_dense_jacobian()?))?;
         Ok(Some(Self { data }))
     }
 
@@ -127,11 +121,9 @@ impl Loops {
         self.data.position_stage()?;
         let (data, model) = (&self.data, self.data.model());
         let nv = model.nv();
-        let quick = |row: &usize| {
-            data.efc_type()[*row] == EQUALITY
-                && is_quick(&model.eq_solref()[2 * data.efc_id()[*row] as usize..])
-        };
-        let rows: Vec<usize> = (0..data.nefc()).filter(quick).collect();
+        let solref = |row: usize| &model.eq_solref()[2 * data.efc_id()[row] as usize..];
+        let mut rows = data.equality_rows();
+        rows.retain(|&row| is_quick(solref(row)));
         let jacobian = DMatrix::from_fn(rows.len(), nv, |r, c| data.efc_J()[rows[r] * nv + c]);
         let open = DVector::from_fn(rows.len(), |r, _| data.efc_pos()[rows[r]]);
         Ok((jacobian, open))
