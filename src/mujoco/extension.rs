@@ -56,6 +56,9 @@ pub trait Extension: std::fmt::Debug + Send + Sync {
     /// Turns what sensors of a stage would read into what they do read (nsensordata).
     fn sense(&self, data: &Data, memory: &[f64], stage: Stage, sensordata: &mut [f64]);
 
+    /// Remembers what encoders show at the positions and velocities in `data`.
+    fn record(&self, data: &Data, memory: &[f64], next: &mut [f64]);
+
     /// Position and velocity of a hinge or slide that its encoder shows as `reading`, delays apart.
     fn decode(&self, data: &Data, memory: &[f64], joint: usize, reading: [f64; 2]) -> [f64; 2];
 
@@ -148,15 +151,17 @@ impl Data {
         }
     }
 
-    /// Lets the extension take the command in ctrl for one that was given before, with nothing else having happened.
+    /// Lets the extension take ctrl, qpos and qvel for those of a step that ended before: what was commanded, and what
+    /// encoders showed, with no force having acted.
     ///
     /// # Errors
     /// None today.
-    pub fn advance_command(&mut self) -> Result<()> {
+    pub fn advance_past(&mut self) -> Result<()> {
         self.with_extension(|data, x| {
             x.next.copy_from_slice(&x.memory);
             x.effective.copy_from_slice(data.ctrl());
             (x.extension).command(data, &x.memory, &mut x.effective, &mut x.next);
+            (x.extension).record(data, &x.memory, &mut x.next);
             x.memory.copy_from_slice(&x.next);
             Ok(())
         })

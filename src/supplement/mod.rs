@@ -44,6 +44,8 @@ pub use parse::{Element, KINDS, Kind, Number, PREFIX, name_of};
 
 /// Longest delay of a command or reading, s.
 pub const MAX_DELAY_S: f64 = 0.05;
+/// What was commanded longer ago is forgotten: seven times a lag of 30 ms.
+pub(crate) const MEMORY_S: f64 = 0.2;
 
 /// What can be wrong with the custom elements of a model.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -188,11 +190,16 @@ impl Extension for Supplement {
     }
 
     fn force(&self, data: &Data, memory: &[f64], forces: &mut Forces, next: &mut [f64]) {
+        for (term, at, part) in self.each(data, memory) {
+            term.law.force(&at, forces, &mut next[part]);
+        }
+        self.record(data, memory, next);
+    }
+
+    fn record(&self, data: &Data, memory: &[f64], next: &mut [f64]) {
         for (n, (term, at, part)) in self.each(data, memory).enumerate() {
-            let own = &mut next[part];
-            term.law.force(&at, forces, own);
             let encoder = |joint| self.instantaneous(data, memory, joint, n);
-            term.law.record(&at, &encoder, own);
+            term.law.record(&at, &encoder, &mut next[part]);
         }
     }
 

@@ -30,6 +30,21 @@ fn encoders_scale_then_shift_then_delay() {
     }
 }
 
+/// A window that begins in motion: its first readings are of before.
+#[test]
+fn a_past_is_shown_late() {
+    let mut data = rotor(&numeric("sensor_delay", "encoders", "0.0035"), "");
+    let speed = 0.8;
+    for ago in (1..=50).rev() {
+        data.qpos_mut()[0] = 0.3 - f64::from(ago) * 0.001 * speed;
+        data.qvel_mut()[0] = speed;
+        data.advance_past().expect("remembered");
+    }
+    data.qpos_mut()[0] = 0.3;
+    let [q, v] = data.encoder(0);
+    assert!((q - (0.3 - 0.0035 * speed)).abs() < 1e-14 && (v - speed).abs() < 1e-14);
+}
+
 #[test]
 fn what_is_encoded_is_decoded() {
     let custom = [

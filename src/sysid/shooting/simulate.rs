@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::window::{Placed, State, Window};
 use crate::mujoco::{self, Data, Model};
-use crate::supplement::MAX_DELAY_S;
+use crate::supplement::MEMORY_S;
 use crate::sysid::SysidError;
 use crate::sysid::problem::Problem;
 
@@ -125,15 +125,11 @@ impl<'a> Simulator<'a> {
         data.clear_warnings();
         data.qpos_mut().copy_from_slice(&state.qpos);
         data.qvel_mut().copy_from_slice(&state.qvel);
-        if !data.memory().is_empty() && nu > 0 {
-            // commands of before the window are still on their way
-            let n = (MAX_DELAY_S / problem.model.timestep()).ceil() as usize;
+        if !data.memory().is_empty() {
+            let first = window.first as isize - past_len(&problem.model) as isize;
             let trial = &problem.trials[window.trial];
-            let first = window.first as isize - n as isize;
-            for row in problem.controls_from(trial, x, first, n).chunks_exact(nu) {
-                data.ctrl_mut().copy_from_slice(row);
-                data.advance_command()?;
-            }
+            let before = problem.controls_from(trial, x, first, past_len(&problem.model));
+            past(data, state, &before)?;
         }
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
             data.ctrl_mut()
@@ -154,6 +150,43 @@ impl<'a> Simulator<'a> {
         }
         Ok(Some(Simulated { sensors, qpos, end }))
     }
+}
+
+/// Steps that an extension remembers.
+fn past_len(model: &Model) -> usize {
+    (MEMORY_S / model.timestep()).ceil() as usize
+}
+
+/// What happened before `state` and is still felt: commands (steps × nu) on their way, readings of hinges and slides
+/// that moved as they move now, loaded transmissions.
+fn past(data: &mut Data, state: &State, commands: &[f64]) -> Result<(), SysidError> {
+    let model = Arc::clone(data.model_arc());
+    let (h, nu, n) = (model.timestep(), model.nu(), past_len(&model));
+    let scalar: Vec<(usize, usize)> = (0..model.njnt())
+        .filter(|j| model.is_slide(*j).is_some())
+        .map(|j| {
+            (
+                model.jnt_qposadr()[j] as usize,
+                model.jnt_dofadr()[j] as usize,
+            )
+        })
+        .collect();
+    for k in 0..n {
+        data.ctrl_mut()
+            .copy_from_slice(&commands[k * nu..(k + 1) * nu]);
+        let ago = (n - k) as f64 * h;
+        for (q, v) in &scalar {
+            data.qpos_mut()[*q] = state.qpos[*q] - ago * state.qvel[*v];
+        }
+        if k + 1 < n {
+            data.advance_past()?;
+        }
+    }
+    // springs and play of transmissions are where the last command had them
+    data.forward()?;
+    data.advance_memory();
+    data.qpos_mut().copy_from_slice(&state.qpos);
+    Ok(())
 }
 
 /// Channels of a knot: the model's `sensors` after the step, or joint positions and velocities before it.
