@@ -79,3 +79,38 @@ fn shipped_suites_fit_their_rigs() {
         assert!(!suite.cases.is_empty());
     }
 }
+
+/// The answer to one machine of the arm's suite.
+fn found(effect: &str) -> phantom::blind::Scored {
+    let read = |path: &str| std::fs::read_to_string(root(path)).expect("shipped");
+    let mut config: SuiteConfig = toml::from_str(&read("suites/arm.toml")).expect("a suite");
+    config.arm.retain(|arm| arm.name == "one");
+    let arm = &mut config.arm[0];
+    (arm.effects, arm.severity, arm.machines) = (vec![effect.to_owned()], vec![4.0], 1);
+    let rig: RigConfig = toml::from_str(&read("rigs/arm.toml")).expect("a rig");
+    let parameters = toml::from_str(&read("parameters/arm.toml")).expect("parameters");
+    let model = root("xml/arm.xml");
+    let suite = Suite::new(config, rig, &model, parameters).expect("fits");
+    let watch: phantom::gap::Report<'_> = &mut |_, _, _| true;
+    suite.run(&suite.cases[0], watch).expect("an answer")
+}
+
+/// A fitted mass stands for most of it, and joints that stick hide the rest from small changes of the model.
+#[test]
+fn an_offset_that_a_mass_made_up_for_is_found() {
+    let scored = found("torque_offset");
+    assert!(scored.exact, "{scored:?}");
+    assert!(scored.covered.iter().all(phantom::blind::Covered::inside));
+}
+
+/// Few stretches of time are fast enough to tell.
+#[test]
+fn what_few_stretches_tell_plainly_is_found() {
+    assert!(found("quadratic_drag").exact);
+}
+
+/// Readings at the beginning of a window are of before it.
+#[test]
+fn late_readings_are_found() {
+    assert!(found("sensor_delay").exact);
+}

@@ -3,6 +3,7 @@
 use super::model::Chosen;
 use super::result::Gap;
 use super::run::{self, Input, Options};
+use super::search::ITERATIONS;
 use super::verify;
 use super::{GapError, Report, Stage, Watch};
 
@@ -39,7 +40,7 @@ pub fn with_effects(
             values: c.values.clone(),
         });
     }
-    let Some(fitted) = search.fitted(&chosen, &mut watch)? else {
+    let Some(fitted) = search.fitted(&chosen, ITERATIONS, &mut watch)? else {
         return Ok(None);
     };
     search.take(fitted);

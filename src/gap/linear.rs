@@ -37,7 +37,7 @@ pub(super) struct Row {
     /// (rows) predictions in the steps of derivatives
     predicted: Vec<f64>,
     /// (rows) of a prediction in its row
-    factor: Vec<f64>,
+    pub factor: Vec<f64>,
     /// (rows) root of the norm's weight
     pub weight: Vec<f64>,
     /// (rows) index of its channel

@@ -12,10 +12,12 @@
 //!
 //! [`run()`] does all of it in memory; nothing is printed, and nothing read but the model's own assets.
 
+mod absorb;
 mod coarse;
 pub mod effect;
 pub mod figures;
 mod fit;
+mod forward;
 mod given;
 mod inputs;
 mod left;
@@ -32,6 +34,7 @@ mod screen;
 mod search;
 mod settle;
 mod stages;
+mod step;
 mod verify;
 mod weigh;
 mod windows;

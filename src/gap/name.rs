@@ -9,18 +9,28 @@
 //!
 //! in units of the noise that the recordings show ([`super::score`]).
 
+use nalgebra::DVector;
+
 use super::effect::{Role, Sign, named};
 use super::result::{Named, Value, Where};
 use super::score::Normal;
-use super::screen::{BEYOND, Candidate, Screen};
+use super::screen::{Candidate, Screen};
 use super::search::Search;
+use crate::sysid::SysidError;
 use crate::sysid::student::two_sided_t;
 
 /// Squared separation below which two effects are one class.
 const APART: f64 = 9.0;
+/// How many times the largest size to be expected another explanation may need.
+const ABSURD: f64 = 2.0;
 
 /// Names every effect in the model of `search`; `screen` is of that model.
-pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Vec<Named> {
+///
+/// # Errors
+/// The engine refuses a number.
+pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, SysidError> {
+    let solve = |b: &DVector<f64>| screen.normal.solve(b);
+    let step = (search.windows).step_error(&search.x, &screen.linear, solve)?;
     let free = search.built.free(&search.windows.problem);
     let mut out = Vec::new();
     for (i, chosen) in search.chosen.iter().enumerate() {
@@ -40,7 +50,8 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Vec<Named> {
                 if parameter.is_size() && surest.is_none_or(|s| t.abs() > s.0) {
                     surest = Some((t.abs(), *j));
                 }
-                let half = two_sided_t(0.95, dof.max(1.0)) * sigma;
+                let by_step = step.as_ref().map_or(0.0, |dx| (dx[*j] * slope).abs());
+                let half = two_sided_t(0.95, dof.max(1.0)) * sigma + by_step;
                 let least = if parameter.sign == Sign::Positive {
                     0.0
                 } else {
@@ -97,7 +108,7 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Vec<Named> {
             alike: others,
         });
     }
-    out
+    Ok(out)
 }
 
 /// How far a candidate is from an effect in the model, whose surest number is free parameter `j` with `t`; none if it
@@ -124,7 +135,7 @@ fn separation(
         }
         // of the wrong sign or absurdly large it is no explanation
         let wrong = p.sign == Sign::Positive && value < 0.0;
-        if wrong || value.abs() > BEYOND * p.high * p.scale(&scales) {
+        if wrong || value.abs() > ABSURD * p.high * p.scale(&scales) {
             return None;
         }
     }

@@ -153,7 +153,7 @@ pub fn resume(
             located: missing.located(),
             evidence: tested(&found),
             untestable: untestable(&search, &found),
-            n_candidates: super::search::tests(&found),
+            n_candidates: super::forward::tests(&found),
             missing: MissingSeries::new(&missing),
         };
         stages::save(keeper, "screen", &first);
@@ -195,7 +195,7 @@ pub fn resume(
         None => screened(search.screen(&mut watch)?)?,
     };
     watch.stage(Stage::Name);
-    let effects = name::name(&search, &screen);
+    let effects = name::name(&search, &screen)?;
     let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
     let rest = left::left(&last);
     watch.stage(Stage::Verify);

@@ -15,6 +15,10 @@
 //! Var β = (B − 1)/B Σ (β₋ᵦ − β̄)²      t = β/σ      dof = (Σ w)²/Σ w² − 1,  w: information of each stretch
 //! ```
 //!
+//! What few stretches tell of has few degrees of freedom, however plainly they tell. What is left of all channels is
+//! known much better, and with it the variance V₀ that weights ([`super::weigh`]) give: both are pooled,
+//! V = (dof Var β + d₀ V₀)/(dof + d₀), with dof + d₀ degrees of freedom (Smyth 2004, "moderated t").
+//!
 //! The stretch left out is also predicted by the others: `held_gain` is how much better on average with Φ than
 //! without. It falls with every needless parameter, and ranks candidates of different sizes.
 //!
@@ -30,14 +34,16 @@ use super::linear::{Column, Row};
 const STRETCHES: usize = 40;
 /// Ridge on every diagonal entry, relative to it: directions without information stay where they are.
 const RIDGE: f64 = 1e-9;
-/// Fewer degrees of freedom than this give no test.
-const LEAST_DOF: f64 = 2.0;
+/// Degrees of freedom that the weights of the residuals stand for.
+const COMMON_DOF: f64 = 4.0;
 
 /// Sums of products of all columns, stretch by stretch: parameters, then candidates, then the residual.
 pub(super) struct Normal {
     stretches: Vec<DMatrix<f64>>,
     /// of parameters without candidates, each stretch left out in turn, then with all
     without: Vec<Solved>,
+    /// (precision, gradient) of every parameter
+    prior: Vec<(f64, f64)>,
     n_parameters: usize,
     n: usize,
 }
@@ -56,7 +62,7 @@ pub(super) struct Score {
     pub expected: Vec<f64>,
     /// fall of the cost
     pub gain: f64,
-    /// fall of the cost of what was left out, mean over stretches times their number
+    /// fall of the cost of what was left out, mean over stretches times their number, and of that of the priors
     pub held_gain: f64,
     /// its standard error
     pub held_sigma: f64,
@@ -124,6 +130,7 @@ impl Normal {
         Self {
             stretches,
             without: solved,
+            prior: prior.to_vec(),
             n_parameters: np,
             n,
         }
@@ -132,6 +139,16 @@ impl Normal {
     /// Cost of the residual as it is.
     pub(super) fn cost(&self) -> f64 {
         0.5 * self.all().normal[(self.n - 1, self.n - 1)]
+    }
+
+    /// Fall of the priors' cost where columns stand for what parameters had to.
+    fn prior_gain(&self, with: &DVector<f64>) -> f64 {
+        let cost = |step: &DVector<f64>| -> f64 {
+            let each = self.prior.iter().zip(step.iter());
+            each.map(|((precision, gradient), d)| d * (gradient + 0.5 * precision * d))
+                .sum()
+        };
+        cost(&self.all().step) - cost(with)
     }
 
     fn all(&self) -> &Solved {
@@ -162,7 +179,15 @@ impl Normal {
         (0..np).map(|j| inverse[(j, j)].max(0.0).sqrt()).collect()
     }
 
-    /// Standard error of a fitted parameter's x, and the degrees of freedom behind it.
+    /// (J̃ᵀJ̃ + P)⁻¹ b of the parameters alone; none where they cannot be told apart.
+    pub(super) fn solve(&self, b: &DVector<f64>) -> DVector<f64> {
+        match &self.all().factor {
+            Some(factor) => factor.solve(b),
+            None => DVector::zeros(b.len()),
+        }
+    }
+
+    /// Standard error of a fitted parameter's x, and the degrees of freedom behind it, moderated as the module says.
     pub(super) fn fitted(&self, parameter: usize) -> (f64, f64) {
         let count = self.stretches.len();
         let steps: Vec<f64> = self.without[..count]
@@ -170,7 +195,10 @@ impl Normal {
             .map(|s| s.step[parameter])
             .collect();
         let entry = |b: usize| self.stretches[b][(parameter, parameter)];
-        (jackknife(&steps), freedom((0..count).map(entry)))
+        let (own, dof) = (jackknife(&steps), freedom((0..count).map(entry)));
+        let common = self.spread()[parameter];
+        let variance = (dof * own * own + COMMON_DOF * common * common) / (dof + COMMON_DOF);
+        (variance.sqrt(), dof + COMMON_DOF)
     }
 
     /// Squared cosine of the angle between a fitted parameter's column and a candidate's, all else fitted; and what of
@@ -207,7 +235,7 @@ impl Normal {
 
     fn score_of(&self, at: &[usize]) -> Option<Score> {
         let count = self.stretches.len();
-        let (_, all_beta, own) = self.all().with(at)?;
+        let (all_step, all_beta, own) = self.all().with(at)?;
         let gain = 0.5 * all_beta.dot(&(&own * &all_beta));
         let mut betas = Vec::with_capacity(count);
         let mut gains = Vec::with_capacity(count);
@@ -234,16 +262,18 @@ impl Normal {
         }
         let trace = |b: usize| at.iter().map(|j| self.stretches[b][(*j, *j)]).sum::<f64>();
         let dof = freedom((0..count).map(trace));
-        let p_value = wald(&all_beta, &covariance, dof);
-        let held = gains.iter().sum::<f64>();
+        let common = regular(own.clone()).cholesky()?.inverse();
+        let pooled = (covariance * dof + common * COMMON_DOF) / (dof + COMMON_DOF);
+        let p_value = wald(&all_beta, &pooled, dof + COMMON_DOF);
+        let sum = gains.iter().sum::<f64>();
         let spread = gains
             .iter()
-            .map(|g| (g - held / count as f64).powi(2))
+            .map(|g| (g - sum / count as f64).powi(2))
             .sum::<f64>();
         Some(Score {
             expected: all_beta.as_slice().to_vec(),
             gain,
-            held_gain: held,
+            held_gain: sum + self.prior_gain(&all_step),
             held_sigma: (spread * count as f64 / (count as f64 - 1.0).max(1.0)).sqrt(),
             p_value,
             visible: own.trace() / at.iter().map(|j| self.all().normal[(*j, *j)]).sum::<f64>(),
@@ -342,9 +372,6 @@ fn freedom(parts: impl Iterator<Item = f64>) -> f64 {
 /// Probability of estimates this far from 0 by chance.
 fn wald(beta: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64) -> f64 {
     let n = beta.len() as f64;
-    if dof < LEAST_DOF {
-        return 1.0;
-    }
     if beta.len() == 1 {
         let t = beta[0] / covariance[(0, 0)].sqrt();
         return two_sided(t, dof);

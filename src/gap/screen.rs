@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 
 use super::GapError;
+use super::absorb::Absorb;
 use super::effect::{self, Effect, ModelFile, Place, Role, Sign};
 use super::linear::{Column, Linear};
 use super::model::{Built, Measured, Variant, variants};
@@ -23,9 +24,9 @@ const FEW: usize = 4;
 /// That part: every so many-th window.
 const PART: usize = 4;
 /// An effect whose columns are others' to this part cannot be seen.
-pub(super) const LEAST_VISIBLE: f64 = 0.02;
+pub(super) const LEAST_VISIBLE: f64 = 0.005;
 /// How many times the largest size to be expected a size may be.
-pub(super) const BEYOND: f64 = 2.0;
+pub(super) const BEYOND: f64 = 4.0;
 /// Part of a column's squared length that first states must leave: less is rounding.
 const LEFT: f64 = 1e-8;
 /// How often the best candidates are looked at again, and how many of them.
@@ -65,6 +66,9 @@ pub(super) struct Screen {
     pub linear: Linear,
 }
 
+/// The point that columns are taken at.
+type At<'a> = (&'a Linear, &'a Absorb);
+
 /// What a screen looks at.
 pub(super) struct Look<'a> {
     pub base: &'a ModelFile,
@@ -95,6 +99,8 @@ impl Look<'_> {
             .filter(|(e, p)| self.may_act(*e, p))
             .collect();
         let normal = information(&linear, &prior);
+        let absorb = Absorb::new(&normal.0, &self.windows.problem.parameters, self.x);
+        let at = (&linear, &absorb);
         let mut pulses: BTreeMap<usize, Pulses> = BTreeMap::new();
         let mut columns: Vec<Column> = Vec::new();
         let mut found: Vec<(usize, Variant, Vec<usize>)> = Vec::new();
@@ -107,11 +113,10 @@ impl Look<'_> {
             if effect.periodic().is_some() {
                 tried = self.best_period(*effect, place, tried, &linear, &mut pulses, &normal)?;
             } else if tried.len() > FEW {
-                tried = self.best(*effect, place, tried, &linear, &prior)?;
+                tried = self.best(*effect, place, tried, at, &prior)?;
             }
             for variant in tried {
-                let Some((own, variant)) = self.columns(*effect, place, &variant, &linear, 1)?
-                else {
+                let Some((own, variant)) = self.columns(*effect, place, &variant, at, 1)? else {
                     continue;
                 };
                 let from = columns.len();
@@ -121,7 +126,7 @@ impl Look<'_> {
         }
         let mut normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
         for _ in 0..LOOKS {
-            self.look_again(&all, &found, &linear, &normal, &mut columns)?;
+            self.look_again(&all, &found, at, &normal, &mut columns)?;
             normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
         }
         let motors = linear.motors(self.windows, self.x)?;
@@ -162,7 +167,7 @@ impl Look<'_> {
         &self,
         all: &[(&'static dyn Effect, Place)],
         found: &[(usize, Variant, Vec<usize>)],
-        linear: &Linear,
+        at: At<'_>,
         normal: &Normal,
         columns: &mut [Column],
     ) -> Result<(), GapError> {
@@ -194,8 +199,8 @@ impl Look<'_> {
                 }
                 let mut values = values.clone();
                 values[p] = beta;
-                if let Some(held) = self.with(*effect, place, &values) {
-                    columns[*c] = linear.column(&held, beta, 1)?;
+                if let Some(column) = self.column((*effect, place), &values, beta, at, 1)? {
+                    columns[*c] = column;
                 }
             }
         }
@@ -233,7 +238,7 @@ impl Look<'_> {
         effect: &'static dyn Effect,
         place: &Place,
         variant: &Variant,
-        linear: &Linear,
+        at: At<'_>,
         stride: usize,
     ) -> Result<Option<(Vec<Column>, Variant)>, GapError> {
         let mut columns = Vec::new();
@@ -242,10 +247,9 @@ impl Look<'_> {
             parameters: Vec::new(),
         };
         for ((size, values), parameter) in variant.columns.iter().zip(&variant.parameters) {
-            let Some(held) = self.with(effect, place, values) else {
+            let Some(column) = self.column((effect, place), values, *size, at, stride)? else {
                 return Ok(None);
             };
-            let column = linear.column(&held, *size, stride)?;
             let left: f64 = column.parts.iter().map(DVector::norm_squared).sum();
             if left > LEFT * column.raw && column.raw > 0.0 {
                 columns.push(column);
@@ -256,8 +260,39 @@ impl Look<'_> {
         Ok((!columns.is_empty()).then_some((columns, seen)))
     }
 
-    /// The problem with an effect, everything held.
-    fn with(&self, effect: &'static dyn Effect, place: &Place, values: &[f64]) -> Option<Problem> {
+    /// What an effect does, per unit of `size`, where the parameters absorb what they can of it; nothing if the model
+    /// cannot say it.
+    fn column(
+        &self,
+        (effect, place): (&'static dyn Effect, &Place),
+        values: &[f64],
+        size: f64,
+        (linear, absorb): At<'_>,
+        stride: usize,
+    ) -> Result<Option<Column>, GapError> {
+        let Some(held) = self.with(effect, place, values, self.x) else {
+            return Ok(None);
+        };
+        let column = linear.column(&held, size, stride)?;
+        let Some(dx) = absorb.moved(linear, &column, size) else {
+            return Ok(Some(column));
+        };
+        let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
+        let Some(held) = self.with(effect, place, values, &x) else {
+            return Ok(Some(column));
+        };
+        let again = linear.column(&held, size, stride)?;
+        Ok(Some(again.without(linear, &dx, size)))
+    }
+
+    /// The problem with an effect, everything held at `x`.
+    fn with(
+        &self,
+        effect: &'static dyn Effect,
+        place: &Place,
+        values: &[f64],
+        x: &[f64],
+    ) -> Option<Problem> {
         // what a place cannot carry is no candidate there
         let written = effect::write(&self.built.file, effect, place, values).ok()?;
         let problem = &self.windows.problem;
@@ -268,7 +303,7 @@ impl Look<'_> {
             parameters,
             ..problem.clone()
         };
-        Some(self.windows.held(&changed, self.x))
+        Some(self.windows.held(&changed, x))
     }
 
     /// The best period of many.
@@ -306,12 +341,13 @@ impl Look<'_> {
         effect: &'static dyn Effect,
         place: &Place,
         tried: Vec<Variant>,
-        linear: &Linear,
+        at: At<'_>,
         prior: &[(f64, f64)],
     ) -> Result<Vec<Variant>, GapError> {
+        let linear = at.0;
         let mut best: Option<(f64, Variant)> = None;
         for variant in tried {
-            let Some((own, _)) = self.columns(effect, place, &variant, linear, PART)? else {
+            let Some((own, _)) = self.columns(effect, place, &variant, at, PART)? else {
                 continue;
             };
             let some: Vec<usize> = (0..linear.rows.len()).step_by(PART).collect();
@@ -392,7 +428,7 @@ fn candidate(
 
 /// Length of a response over that of the motors, of the channel where it is largest among those that show most of it:
 /// what motors do elsewhere, as to an object they throw, says nothing of its size. None where motors do nothing.
-fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
+pub(super) fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
     let total: f64 = response.iter().sum();
     let shown = response
         .iter()

@@ -1,21 +1,20 @@
 //! Which effects the recordings ask for: forward, delete and swap.
 //!
-//! From the fitted base model, the candidates that explain most of what was left out of their estimation are put into
-//! the model one at a time; the best few are fitted in full before one is kept. After each step effects that are no
+//! From the fitted base model, effects are put in one at a time ([`super::forward`]). After each step effects that are no
 //! longer needed go. It ends where no candidate is
 //!
 //! - significant: p × number of candidates below [`Limits::family_p`],
 //! - of practical size: its response at least [`Limits::size`] of that of the motors, its gain at least
 //!   [`Limits::gain`] of what the noise of the sensors does not explain of the cost,
-//! - and of use where it was not fitted: `held_gain` above its standard error, and held-out recordings cost less with it
-//!   than without, their first states alone estimated.
+//! - and of use where it was not fitted: held-out recordings, their first states alone estimated, cost a twentieth less.
 
+use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use super::effect::{ModelFile, Place};
 use super::model::{Built, Chosen, Measured};
-use super::score::{self, Score};
-use super::screen::{Candidate, LEAST_VISIBLE, Look, Screen};
+use super::score;
+use super::screen::{Look, Screen};
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 use crate::sysid::parameter::ParameterRule;
@@ -41,12 +40,8 @@ impl Default for Limits {
     }
 }
 
-/// Candidates that are fitted in full before one is kept.
-const RIVALS: usize = 3;
-/// Part of the best one's gain that a rival has.
-const NEAR: f64 = 0.6;
 /// Iterations of a fit after a small change.
-const ITERATIONS: usize = 12;
+pub(super) const ITERATIONS: usize = 12;
 /// Fits after which channels are weighed anew.
 const WEIGHINGS: usize = 2;
 /// Iterations of those.
@@ -55,10 +50,6 @@ const ROUGH_ITERATIONS: usize = 5;
 const FIRST_ITERATIONS: usize = 40;
 /// Chance that a kept effect is none, above which it goes.
 const LEAVES: f64 = 0.01;
-/// Part of the cost that noise is not taken to explain, whatever it is told to be.
-const UNEXPLAINED: f64 = 0.1;
-/// A part of the base model's cost: less of a fall and the effect is not kept.
-const REAL: f64 = 0.3;
 
 /// The search as it stands.
 #[derive(Clone)]
@@ -176,130 +167,6 @@ impl<'a> Search<'a> {
         look.screen(&mut |done, of| watch.part(done, of))
     }
 
-    /// Candidates that are worth a place in the model, best first.
-    pub(super) fn worthy<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
-        let tests = tests(screen);
-        let cost = self.unexplained(screen);
-        let mut worthy: Vec<(&Candidate, f64)> = (screen.candidates.iter())
-            .filter_map(|c| Some((c, c.score.as_ref()?)))
-            .filter(|(c, s)| self.is_worthy(c, s, tests, cost))
-            .map(|(c, s)| (c, s.held_gain))
-            .collect();
-        worthy.sort_by(|a, b| b.1.total_cmp(&a.1));
-        worthy.into_iter().map(|(c, _)| c).collect()
-    }
-
-    /// Cost that the noise of the sensors does not explain.
-    fn unexplained(&self, screen: &Screen) -> f64 {
-        let channels = &self.windows.problem.channels;
-        let rows = screen.linear.rows.iter().flat_map(|row| &row.channel);
-        let noise: f64 = rows
-            .map(|&c| 0.5 * (self.noise[c] / channels[c].sigma).powi(2))
-            .sum();
-        let cost = screen.normal.cost();
-        (cost - noise).max(UNEXPLAINED * cost)
-    }
-
-    fn is_worthy(&self, c: &Candidate, s: &Score, tests: usize, cost: f64) -> bool {
-        let name = c.effect.about().name;
-        (self.effects.is_empty() || self.effects.iter().any(|n| n == name))
-            && c.sensible
-            && s.visible >= LEAST_VISIBLE
-            && s.p_value * tests as f64 <= self.limits.family_p
-            && s.gain >= self.limits.gain * cost
-            && s.held_gain > s.held_sigma
-            && c.size.is_none_or(|size| size >= self.limits.size)
-    }
-
-    /// Puts the best of the worthy candidates into the model. `false`: none stood a fit.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn forward(
-        &mut self,
-        screen: &Screen,
-        watch: &mut Watch<'_>,
-    ) -> Result<bool, GapError> {
-        let worthy = self.worthy(screen);
-        let held = |c: &Candidate| c.score.as_ref().map_or(0.0, |s| s.held_gain);
-        let Some(most) = worthy.first().map(|c| held(c)) else {
-            return Ok(false);
-        };
-        watch.stage(Stage::Refit);
-        let mut rivals: Vec<&Candidate> = Vec::new();
-        for c in worthy.iter().filter(|c| held(c) >= NEAR * most) {
-            if rivals.len() < RIVALS {
-                rivals.push(c);
-            }
-        }
-        let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
-        let mut best: Option<(Fitted, &Candidate)> = None;
-        for c in rivals {
-            let mut chosen = self.chosen.clone();
-            chosen.push(Chosen {
-                effect: c.effect,
-                place: c.place.clone(),
-                values: c.values.clone(),
-            });
-            let Some(fitted) = self.fitted(&chosen, watch)? else {
-                continue;
-            };
-            let expected = c.score.as_ref().map_or(0.0, |s| s.gain);
-            let real = self.cost - fitted.cost >= REAL * expected;
-            if !real || best.as_ref().is_some_and(|(b, _)| fitted.cost >= b.cost) {
-                continue;
-            }
-            let held = self.held_cost(&fitted.built, &fitted.windows, &fitted.x)?;
-            if held_before.is_none_or(|before| held.is_some_and(|held| held < before)) {
-                best = Some((fitted, c));
-            }
-        }
-        let Some((fitted, c)) = best else {
-            return Ok(false);
-        };
-        if let Some(s) = &c.score {
-            self.evidence.push(Evidence {
-                p_value: (s.p_value * tests(screen) as f64).min(1.0),
-                gain: s.gain / screen.normal.cost(),
-                size: c.size,
-            });
-        }
-        self.take(fitted);
-        self.settle(watch)?;
-        Ok(true)
-    }
-
-    /// Cost of the held-out recordings with parameters as fitted to `windows`, weighed like those; none without such
-    /// recordings, or where the model does not follow them.
-    fn held_cost(
-        &self,
-        built: &Built,
-        windows: &Windows,
-        x: &[f64],
-    ) -> Result<Option<f64>, GapError> {
-        let Some(mut held) = self.held_out.clone() else {
-            return Ok(None);
-        };
-        let Ok(problem) = built.problem(&held.problem) else {
-            return Ok(None);
-        };
-        held.problem = windows.held(&problem, x);
-        // as the present model's, whichever is looked at
-        for own in &self.windows.problem.channels {
-            let same = (held.problem.channels.iter_mut()).find(|c| c.name == own.name);
-            if let Some(channel) = same {
-                channel.sigma = own.sigma;
-            }
-        }
-        held.factor = windows.factor;
-        let whole = held.len();
-        match held.fit(&[], ITERATIONS, &mut |_| true) {
-            Ok(fit) => Ok((held.len() == whole).then_some(fit.cost)),
-            Err(crate::sysid::SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
-            Err(_) => Ok(None),
-        }
-    }
-
     /// Weighs the channels by what is left now, and fits again.
     ///
     /// # Errors
@@ -326,7 +193,7 @@ impl<'a> Search<'a> {
             let normal = self.normal()?;
             let mut weakest: Option<(f64, usize)> = None;
             for (i, _) in self.chosen.iter().enumerate() {
-                let p = self.doubt(&normal, i);
+                let p = doubt(&self.sureness(&normal, i, None));
                 if p > LEAVES && weakest.is_none_or(|(w, _)| p > w) {
                     weakest = Some((p, i));
                 }
@@ -334,7 +201,7 @@ impl<'a> Search<'a> {
             let Some((_, i)) = weakest else { break };
             let mut chosen = self.chosen.clone();
             chosen.remove(i);
-            let Some(fitted) = self.fitted(&chosen, watch)? else {
+            let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
                 break;
             };
             self.evidence.remove(i);
@@ -356,18 +223,14 @@ impl<'a> Search<'a> {
         ))
     }
 
-    /// Probability that an effect in the model is nothing: of its surest size. 0 for one without a number.
-    pub(super) fn doubt(&self, normal: &score::Normal, effect: usize) -> f64 {
-        let mut least: Option<f64> = None;
-        for (t, dof) in self.sureness(normal, effect) {
-            let p = score::two_sided(t, dof);
-            least = Some(least.map_or(p, |l: f64| l.min(p)));
-        }
-        least.unwrap_or(0.0)
-    }
-
-    /// (t, degrees of freedom) of every size of an effect in the model.
-    pub(super) fn sureness(&self, normal: &score::Normal, effect: usize) -> Vec<(f64, f64)> {
+    /// (t, degrees of freedom) of every size of an effect in the model, `step` being what the model's own step makes of
+    /// parameters.
+    pub(super) fn sureness(
+        &self,
+        normal: &score::Normal,
+        effect: usize,
+        step: Option<&DVector<f64>>,
+    ) -> Vec<(f64, f64)> {
         let parameters = self.chosen[effect].effect.about().parameters;
         let free = self.built.free(&self.windows.problem);
         let own = free
@@ -375,7 +238,9 @@ impl<'a> Search<'a> {
             .filter(|f| f.1 == effect && parameters[f.2].is_size());
         own.map(|(j, i, p, slope)| {
             let (sigma, dof) = normal.fitted(*j);
-            (self.chosen[*i].values[*p] / (sigma * slope.abs()), dof)
+            let x = self.chosen[*i].values[*p] / slope;
+            let by_step = step.map_or(0.0, |dx| dx[*j].abs());
+            ((x.abs() - by_step).max(0.0) / sigma, dof)
         })
         .collect()
     }
@@ -384,6 +249,7 @@ impl<'a> Search<'a> {
     pub(super) fn fitted(
         &self,
         chosen: &[Chosen],
+        iterations: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
         let Ok(built) = Built::new(self.base, self.rules, chosen, &self.measured) else {
@@ -398,7 +264,7 @@ impl<'a> Search<'a> {
         let mut x = problem.parameters.start();
         x[..n_base].copy_from_slice(&self.x[..n_base]);
         windows.problem = problem;
-        let fit = match windows.fit(&x, ITERATIONS, &mut |i| watch.fit(i)) {
+        let fit = match windows.fit(&x, iterations, &mut |i| watch.fit(i)) {
             Ok(fit) => fit,
             Err(crate::sysid::SysidError::Mujoco(error)) => {
                 return Err(GapError::Sysid(error.into()));
@@ -436,10 +302,10 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Candidates that anything can be seen of: so many tests.
-pub(super) fn tests(screen: &Screen) -> usize {
-    let seen = |c: &&Candidate| c.score.as_ref().is_some_and(|s| s.visible >= LEAST_VISIBLE);
-    screen.candidates.iter().filter(seen).count().max(1)
+/// Probability that an effect in the model is nothing: of its surest size. 0 for one without a number.
+pub(super) fn doubt(sureness: &[(f64, f64)]) -> f64 {
+    let each = sureness.iter().map(|(t, dof)| score::two_sided(*t, *dof));
+    each.reduce(f64::min).unwrap_or(0.0)
 }
 
 /// A model with effects, fitted.

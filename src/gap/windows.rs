@@ -216,7 +216,7 @@ fn part(whole: &Problem, trial: &Trial, first: usize, last: usize) -> Trial {
         .collect();
     let controls = trial.controls.iter().map(|series| {
         // some before the window: commands may act late
-        let begin = series.partition_point(|(t, _)| *t <= from - crate::supplement::MAX_DELAY_S);
+        let begin = series.partition_point(|(t, _)| *t <= from - crate::supplement::MEMORY_S);
         let end = series.partition_point(|(t, _)| *t <= to);
         let own = &series[begin.saturating_sub(1)..end.max(begin).max(1)];
         own.iter().map(|(t, u)| (t - from, *u)).collect()

@@ -1,0 +1,230 @@
+//! One step forward: the candidates that promise most are fitted, and the best that stands is kept.
+//!
+//! A screen is linear and judges from a model that lacks what it looks for; it says who is worth a fit, no more. What
+//! decides is taken from the fits: the cost, 2 more for each number, then for the best first
+//!
+//! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
+//! - significance, from the model with the effect, where what is left is no longer the effect itself; what the model's
+//!   own step makes of its number ([`super::step`]) is taken off first;
+//! - size: its response, as a part of that of the motors.
+
+use nalgebra::DVector;
+
+use super::model::{Built, Chosen};
+use super::score::{self, Score};
+use super::screen::{self, Candidate, LEAST_VISIBLE, Screen, largest_part};
+use super::search::{self, Evidence, Fitted, ITERATIONS, Search};
+use super::windows::Windows;
+use super::{GapError, Stage, Watch};
+use crate::sysid::SysidError;
+
+/// Candidates that are fitted in full before one is kept.
+const RIVALS: usize = 6;
+/// So many candidates would look as good by chance, of one that is worth a fit.
+const LIKELY: f64 = 1.0;
+/// Part of the least size that such a one promises.
+const LARGE: f64 = 0.3;
+/// Part of the best one's gain that a rival has.
+const NEAR: f64 = 0.2;
+/// Iterations after which rivals far behind are given up, and the part of the best one's fall that is not far.
+const FEW_ITERATIONS: usize = 3;
+const LEADING: f64 = 0.5;
+/// Part of the held-out recordings' cost that an effect takes off it at least.
+const OF_USE: f64 = 0.05;
+/// Fall of the cost that a number more has to bring, to be the better of two.
+const NUMBER: f64 = 2.0;
+/// Part of the cost that noise is not taken to explain, whatever it is told to be.
+const UNEXPLAINED: f64 = 0.1;
+
+impl Search<'_> {
+    /// Candidates that are worth a place in the model, best first.
+    pub(super) fn worthy<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
+        let tests = tests(screen);
+        let cost = self.unexplained(screen);
+        let mut worthy: Vec<(&Candidate, f64)> = (screen.candidates.iter())
+            .filter_map(|c| Some((c, c.score.as_ref()?)))
+            .filter(|(c, s)| self.is_worthy(c, s, tests, cost))
+            .map(|(c, s)| (c, s.held_gain))
+            .collect();
+        worthy.sort_by(|a, b| b.1.total_cmp(&a.1));
+        worthy.into_iter().map(|(c, _)| c).collect()
+    }
+
+    /// Cost that the noise of the sensors does not explain.
+    fn unexplained(&self, screen: &Screen) -> f64 {
+        let channels = &self.windows.problem.channels;
+        let rows = screen.linear.rows.iter().flat_map(|row| &row.channel);
+        let noise: f64 = rows
+            .map(|&c| 0.5 * (self.noise[c] / channels[c].sigma).powi(2))
+            .sum();
+        let cost = screen.normal.cost();
+        (cost - noise).max(UNEXPLAINED * cost)
+    }
+
+    /// Whether a candidate makes sense and can be seen.
+    fn may_be(&self, c: &Candidate, s: &Score) -> bool {
+        let name = c.effect.about().name;
+        (self.effects.is_empty() || self.effects.iter().any(|n| n == name))
+            && c.sensible
+            && s.visible >= LEAST_VISIBLE
+    }
+
+    fn is_worthy(&self, c: &Candidate, s: &Score, tests: usize, cost: f64) -> bool {
+        self.may_be(c, s)
+            && s.p_value * tests as f64 <= self.limits.family_p
+            && s.gain >= self.limits.gain * cost
+            && s.held_gain > s.held_sigma
+            && c.size.is_none_or(|size| size >= self.limits.size)
+    }
+
+    /// Fits the candidates that promise most, and keeps the best that stands. `false`: none does.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn forward(
+        &mut self,
+        screen: &Screen,
+        watch: &mut Watch<'_>,
+    ) -> Result<bool, GapError> {
+        let rivals = self.rivals(screen);
+        if rivals.is_empty() {
+            return Ok(false);
+        }
+        watch.stage(Stage::Refit);
+        let least = self.limits.gain * self.unexplained(screen);
+        let mut fitted: Vec<(Fitted, &Candidate)> = Vec::new();
+        for c in rivals {
+            let mut chosen = self.chosen.clone();
+            chosen.push(Chosen {
+                effect: c.effect,
+                place: c.place.clone(),
+                values: c.values.clone(),
+            });
+            if let Some(own) = self.fitted(&chosen, FEW_ITERATIONS, watch)? {
+                fitted.push((own, c));
+            }
+        }
+        let fall = |f: &Fitted| self.cost - f.cost;
+        let most = fitted.iter().map(|f| fall(&f.0)).fold(0.0, f64::max);
+        fitted.retain(|f| fall(&f.0) >= LEADING * most);
+        for (own, _) in &mut fitted {
+            let fit = own.windows.fit(&own.x, ITERATIONS, &mut |i| watch.fit(i))?;
+            (own.x, own.cost) = (fit.x, fit.cost);
+            own.chosen = own.built.values(&own.windows.problem, &own.x, &own.written);
+        }
+        fitted.retain(|f| fall(&f.0) >= least);
+        let price = |f: &Fitted| f.cost + NUMBER * (f.x.len() as f64);
+        fitted.sort_by(|a, b| price(&a.0).total_cmp(&price(&b.0)));
+        let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
+        for (own, c) in fitted {
+            let mut then = self.clone();
+            let held = self.held_cost(&own.built, &own.windows, &own.x)?;
+            let most = held_before.map(|before| (1.0 - OF_USE) * before);
+            let falls = most.is_none_or(|most| held.is_some_and(|held| held < most));
+            if !falls {
+                continue;
+            }
+            let gain = (self.cost - own.cost) / self.cost;
+            then.take(own);
+            then.settle(watch)?;
+            let evidence = then.evidence(c, tests(screen), gain)?;
+            let stands = evidence.p_value <= self.limits.family_p
+                && evidence.size.is_none_or(|size| size >= self.limits.size);
+            if stands {
+                then.evidence.push(evidence);
+                *self = then;
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Candidates to be fitted, best first.
+    fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
+        let (least, tests) = (self.limits.gain * self.unexplained(screen), tests(screen));
+        let likely = |s: &Score| s.p_value * tests as f64 <= LIKELY && s.held_gain > 0.0;
+        let large = |c: &Candidate| c.size.is_none_or(|size| size >= LARGE * self.limits.size);
+        let mut found: Vec<(&Candidate, f64)> = (screen.candidates.iter())
+            .filter_map(|c| Some((c, c.score.as_ref()?)))
+            .filter(|(c, s)| self.may_be(c, s) && large(c) && s.gain >= least && likely(s))
+            .map(|(c, s)| (c, s.held_gain))
+            .collect();
+        found.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let most = found.first().map_or(0.0, |f| f.1);
+        let near = found.into_iter().filter(|f| f.1 >= NEAR * most);
+        near.map(|f| f.0).take(RIVALS).collect()
+    }
+
+    /// What speaks for `c`, the effect added last, of the model as it is fitted now.
+    fn evidence(&self, c: &Candidate, tests: usize, gain: f64) -> Result<Evidence, GapError> {
+        let (last, linear) = (self.chosen.len() - 1, self.windows.linearise(&self.x)?);
+        let prior = screen::prior(&self.windows.problem.parameters, &self.x);
+        let normal = score::Normal::new(&linear.rows, &[], &self.stretch_of, &prior);
+        let solve = |b: &DVector<f64>| normal.solve(b);
+        let step = self.windows.step_error(&self.x, &linear, solve)?;
+        let sizes = self.sureness(&normal, last, step.as_ref());
+        let p = match (&sizes[..], &c.score) {
+            ([], Some(score)) => score.p_value,
+            _ => search::doubt(&sizes) * sizes.len() as f64,
+        };
+        let mut response: Vec<DVector<f64>> = (linear.rows.iter())
+            .map(|row| DVector::zeros(row.residual.len()))
+            .collect();
+        let parameters = self.chosen[last].effect.about().parameters;
+        for (j, i, p, slope) in self.built.free(&self.windows.problem) {
+            if i == last && parameters[p].is_size() {
+                let change = self.chosen[i].values[p] / slope;
+                for (sum, row) in response.iter_mut().zip(&linear.rows) {
+                    sum.axpy(change, &row.parameters.column(j), 1.0);
+                }
+            }
+        }
+        let motors = linear.motors(&self.windows, &self.x)?;
+        let size = motors.and_then(|m| {
+            largest_part(&linear.by_channel(&response), &linear.by_channel(&m.parts))
+        });
+        Ok(Evidence {
+            p_value: (p * tests as f64).min(1.0),
+            gain,
+            size,
+        })
+    }
+
+    /// Cost of the held-out recordings with parameters as fitted to `windows`, weighed like those; none without such
+    /// recordings, or where the model does not follow them.
+    fn held_cost(
+        &self,
+        built: &Built,
+        windows: &Windows,
+        x: &[f64],
+    ) -> Result<Option<f64>, GapError> {
+        let Some(mut held) = self.held_out.clone() else {
+            return Ok(None);
+        };
+        let Ok(problem) = built.problem(&held.problem) else {
+            return Ok(None);
+        };
+        held.problem = windows.held(&problem, x);
+        // as the present model's, whichever is looked at
+        for own in &self.windows.problem.channels {
+            let same = (held.problem.channels.iter_mut()).find(|c| c.name == own.name);
+            if let Some(channel) = same {
+                channel.sigma = own.sigma;
+            }
+        }
+        held.factor = windows.factor;
+        let prior = windows.problem.parameters.prior_cost(x);
+        let whole = held.len();
+        match held.fit(&[], ITERATIONS, &mut |_| true) {
+            Ok(fit) => Ok((held.len() == whole).then_some(fit.cost + prior)),
+            Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
+            Err(_) => Ok(None),
+        }
+    }
+}
+
+/// Candidates that anything can be seen of: so many tests.
+pub(super) fn tests(screen: &Screen) -> usize {
+    let seen = |c: &&Candidate| c.score.as_ref().is_some_and(|s| s.visible >= LEAST_VISIBLE);
+    screen.candidates.iter().filter(seen).count().max(1)
+}
