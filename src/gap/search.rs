@@ -1,4 +1,4 @@
-//! Which effects the recordings ask for: forward, delete and swap.
+//! Which effects the recordings ask for: forward and delete.
 //!
 //! From the fitted base model, effects are put in one at a time ([`super::forward`]). After each step effects that are no
 //! longer needed go. It ends where no candidate is
