@@ -65,32 +65,32 @@ fn what_makes_no_sense_is_named() {
     );
 }
 
+/// A suite of `suites/` with the rig, model and parameters of its name.
+fn shipped(name: &str, change: impl Fn(&mut SuiteConfig)) -> Suite {
+    let read = |path: &str| std::fs::read_to_string(root(path)).expect("shipped");
+    let mut config: SuiteConfig =
+        toml::from_str(&read(&format!("suites/{name}.toml"))).expect("a suite");
+    change(&mut config);
+    let rig: RigConfig = toml::from_str(&read(&format!("rigs/{name}.toml"))).expect("a rig");
+    let parameters = toml::from_str(&read(&format!("parameters/{name}.toml"))).expect("parameters");
+    let model = Suite::model_of(&rig, &root("rigs/x.toml")).expect("named");
+    Suite::new(config, rig, &model, parameters).expect("fits")
+}
+
 #[test]
 fn shipped_suites_fit_their_rigs() {
     for name in ["arm", "finger"] {
-        let read = |path: &str| std::fs::read_to_string(root(path)).expect("shipped");
-        let config: SuiteConfig =
-            toml::from_str(&read(&format!("suites/{name}.toml"))).expect("a suite");
-        let rig: RigConfig = toml::from_str(&read(&format!("rigs/{name}.toml"))).expect("a rig");
-        let parameters =
-            toml::from_str(&read(&format!("parameters/{name}.toml"))).expect("parameters");
-        let model = Suite::model_of(&rig, &root("rigs/x.toml")).expect("named");
-        let suite = Suite::new(config, rig, &model, parameters).expect("fits");
-        assert!(!suite.cases.is_empty());
+        assert!(!shipped(name, |_| ()).cases.is_empty());
     }
 }
 
 /// The answer to one machine of the arm's suite.
 fn found(effect: &str) -> phantom::blind::Scored {
-    let read = |path: &str| std::fs::read_to_string(root(path)).expect("shipped");
-    let mut config: SuiteConfig = toml::from_str(&read("suites/arm.toml")).expect("a suite");
-    config.arm.retain(|arm| arm.name == "one");
-    let arm = &mut config.arm[0];
-    (arm.effects, arm.severity, arm.machines) = (vec![effect.to_owned()], vec![4.0], 1);
-    let rig: RigConfig = toml::from_str(&read("rigs/arm.toml")).expect("a rig");
-    let parameters = toml::from_str(&read("parameters/arm.toml")).expect("parameters");
-    let model = root("xml/arm.xml");
-    let suite = Suite::new(config, rig, &model, parameters).expect("fits");
+    let suite = shipped("arm", |config| {
+        config.arm.retain(|arm| arm.name == "one");
+        let arm = &mut config.arm[0];
+        (arm.effects, arm.severity, arm.machines) = (vec![effect.to_owned()], vec![4.0], 1);
+    });
     let watch: phantom::gap::Report<'_> = &mut |_, _, _| true;
     suite.run(&suite.cases[0], watch).expect("an answer")
 }

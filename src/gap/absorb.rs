@@ -14,7 +14,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::linear::{Column, Linear};
-use crate::sysid::parameter::{Parameters, Role, Scale};
+use crate::sysid::parameter::{Parameters, Role};
 
 /// Part of a column's squared length that parameters must absorb for it to be taken again.
 const MUCH: f64 = 0.5;
@@ -31,14 +31,10 @@ pub(super) struct Absorb {
 impl Absorb {
     /// `normal` is `J̃ᵀJ̃ + P` of `parameters` at `x`.
     pub(super) fn new(normal: &DMatrix<f64>, parameters: &Parameters, x: &[f64]) -> Self {
-        let room = parameters.iter_free().zip(x).map(|(p, x)| {
-            let (low, high) = p.bounds();
-            match (&p.role, p.scale) {
-                // readings are linear in these
-                (Role::Instrument(..), _) => (0.0, 0.0),
-                (_, Scale::Log) => ((low - x).max(-LOG_STEP), (high - x).min(LOG_STEP)),
-                (_, Scale::Linear) => (low - x, high - x),
-            }
+        let room = parameters.iter_free().zip(x).map(|(p, x)| match p.role {
+            // readings are linear in these
+            Role::Instrument(..) => (0.0, 0.0),
+            Role::Model(_) => p.reach(*x, LOG_STEP),
         });
         Self {
             factor: (!x.is_empty()).then(|| normal.clone().cholesky()).flatten(),

@@ -1,4 +1,4 @@
-//! Derivatives in longer steps.
+//! The windows in steps of another length: derivatives in longer ones.
 //!
 //! What a change of the model does to a window is needed to a few percent; what is left unexplained, to the last digit.
 //! Residuals are therefore simulated in the model's own step h, and derivatives, as differences of two simulations alike,
@@ -33,51 +33,52 @@ pub(super) fn aligned(steps: usize) -> usize {
     FACTORS.into_iter().find(fits).unwrap_or(1)
 }
 
-/// The model in longer steps.
-fn slower(model: &Arc<Model>, factor: usize) -> Result<Arc<Model>, SysidError> {
-    if factor == 1 {
+/// The model in steps `factor` times as long.
+fn paced(model: &Arc<Model>, factor: f64) -> Result<Arc<Model>, SysidError> {
+    if factor == 1.0 {
         return Ok(Arc::clone(model));
     }
     let mut own = model.try_clone()?;
     let mut edit = own.edit();
-    edit.set_timestep(model.timestep() * factor as f64)?;
+    edit.set_timestep(model.timestep() * factor)?;
     edit.finish()?;
     Ok(Arc::new(own))
 }
 
-/// The problem in longer steps. Residuals have no norm there: rows are weighed where they are simulated exactly.
-pub(super) fn slow(problem: &Problem, factor: usize) -> Result<Problem, SysidError> {
-    let mut slow = Problem {
-        model: slower(&problem.model, factor)?,
+/// The problem in steps `factor` times as long. Residuals have no norm there: rows are weighed where they are simulated exactly.
+pub(super) fn problem(problem: &Problem, factor: f64) -> Result<Problem, SysidError> {
+    let mut own = Problem {
+        model: paced(&problem.model, factor)?,
         ..problem.clone()
     };
-    for channel in &mut slow.channels {
+    for channel in &mut own.channels {
         channel.norm = Norm::Quadratic;
     }
-    for trial in &mut slow.trials {
-        trial.n_knots = knots(trial, factor);
+    for trial in &mut own.trials {
+        trial.n_knots = steps(trial.n_knots - 1, factor) + 1;
     }
-    Ok(slow)
+    Ok(own)
 }
 
-fn knots(trial: &Trial, factor: usize) -> usize {
-    (trial.n_knots - 1) / factor + 1
+/// So many steps in ones `factor` times as long.
+fn steps(n: usize, factor: f64) -> usize {
+    (n as f64 / factor) as usize
 }
 
-/// The windows of `windows`, whole trials, in longer steps.
-pub(super) fn windows(windows: &[Window], factor: usize) -> Vec<Window> {
+/// The windows of `windows`, whole trials, in those steps.
+pub(super) fn windows(windows: &[Window], factor: f64) -> Vec<Window> {
     let each = windows.iter().map(|w| Window {
-        last: w.last / factor,
+        last: steps(w.last, factor),
         ..w.clone()
     });
     each.collect()
 }
 
-/// Where samples lie in longer steps, in the same order.
-pub(super) fn placed(problem: &Problem, placed: &[Vec<Placed>], factor: usize) -> Vec<Vec<Placed>> {
+/// Where samples lie in those steps, in the same order.
+pub(super) fn placed(problem: &Problem, placed: &[Vec<Placed>], factor: f64) -> Vec<Vec<Placed>> {
     const ROUNDING: f64 = 1e-9;
     let one = |trial: &Trial, p: &Placed| {
-        let at = (p.knot as f64 + p.part) / factor as f64;
+        let at = (p.knot as f64 + p.part) / factor;
         let knot = (at + ROUNDING).floor() as usize;
         let held = problem.channels[trial.samples[p.sample].channel].stage == Stage::Acceleration;
         let part = if held {

@@ -16,7 +16,7 @@ use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::fit::Iteration;
-use crate::sysid::parameter::{Parameters, Scale};
+use crate::sysid::parameter::Parameters;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::loops::Loops;
 use crate::sysid::shooting::simulate::Pool;
@@ -32,8 +32,6 @@ const LEAST_PART: f64 = 1e-6;
 const NEAR: f64 = 0.1;
 /// Part of the foretold fall from which derivatives go on serving.
 const AS_FORETOLD: f64 = 0.6;
-/// Largest change of x on a log scale in one step.
-const LOG_STEP: f64 = 1.0;
 /// Parts of a step that are tried.
 const PARTS: [f64; 3] = [1.0, 0.3, 0.1];
 /// Parts of the change of a window's state that are tried.
@@ -290,7 +288,8 @@ impl Windows {
         }
         let gradient = -right.clone();
         let mut with_priors = normal.clone();
-        let (low, high) = box_of(parameters, x, &mut with_priors, &mut right);
+        add_priors(parameters, x, &mut with_priors, &mut right);
+        let (low, high): (Vec<f64>, Vec<f64>) = parameters.reach(x).unzip();
         let dx = solve_in_box(&with_priors, &right, &low, &high);
         let change = DVector::from_column_slice(&dx);
         let to: Vec<f64> = x.iter().zip(&dx).map(|(x, d)| x + d).collect();
@@ -367,27 +366,18 @@ fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
     normal
 }
 
-/// Adds priors and a ridge; the bounds of a step.
-fn box_of(
+/// Adds priors and a ridge.
+fn add_priors(
     parameters: &Parameters,
     x: &[f64],
     normal: &mut DMatrix<f64>,
     right: &mut DVector<f64>,
-) -> (Vec<f64>, Vec<f64>) {
-    let (mut low, mut high) = (vec![0.0; x.len()], vec![0.0; x.len()]);
+) {
     for (i, p) in parameters.iter_free().enumerate() {
         if p.prior_sigma.is_finite() {
             normal[(i, i)] += p.prior_sigma.powi(-2);
             right[i] -= (x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
         }
         normal[(i, i)] += RIDGE * normal[(i, i)].max(LEAST_INFORMATION);
-        let (lower, upper) = p.bounds();
-        let most = match p.scale {
-            Scale::Log => LOG_STEP,
-            Scale::Linear => f64::INFINITY,
-        };
-        low[i] = (lower - x[i]).max(-most);
-        high[i] = (upper - x[i]).min(most);
     }
-    (low, high)
 }

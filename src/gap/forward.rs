@@ -11,8 +11,8 @@
 use nalgebra::DVector;
 
 use super::model::{Built, Chosen};
-use super::score::{self, Score};
-use super::screen::{self, Candidate, LEAST_VISIBLE, Screen, largest_part};
+use super::score::Score;
+use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{self, Evidence, Fitted, ITERATIONS, Search};
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
@@ -37,17 +37,35 @@ const NUMBER: f64 = 2.0;
 const UNEXPLAINED: f64 = 0.1;
 
 impl Search<'_> {
-    /// Candidates that are worth a place in the model, best first.
+    /// Candidates that are worth a place in the model by the screen alone, best first.
     pub(super) fn worthy<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
-        let tests = tests(screen);
-        let cost = self.unexplained(screen);
-        let mut worthy: Vec<(&Candidate, f64)> = (screen.candidates.iter())
+        let (least, tests) = (self.limits.gain * self.unexplained(screen), tests(screen));
+        let found = self.best_first(screen, |c, s| {
+            s.p_value * tests as f64 <= self.limits.family_p
+                && s.gain >= least
+                && s.held_gain > s.held_sigma
+                && c.size.is_none_or(|size| size >= self.limits.size)
+        });
+        found.into_iter().map(|(c, _)| c).collect()
+    }
+
+    /// Candidates that make sense, can be seen and that `keep` keeps, with their scores, by what they gain where they were
+    /// not estimated.
+    fn best_first<'s>(
+        &self,
+        screen: &'s Screen,
+        keep: impl Fn(&Candidate, &Score) -> bool,
+    ) -> Vec<(&'s Candidate, &'s Score)> {
+        let wanted = |c: &Candidate| {
+            let name = c.effect.about().name;
+            self.effects.is_empty() || self.effects.iter().any(|n| n == name)
+        };
+        let mut found: Vec<(&Candidate, &Score)> = (screen.candidates.iter())
             .filter_map(|c| Some((c, c.score.as_ref()?)))
-            .filter(|(c, s)| self.is_worthy(c, s, tests, cost))
-            .map(|(c, s)| (c, s.held_gain))
+            .filter(|(c, s)| wanted(c) && c.sensible && s.visible >= LEAST_VISIBLE && keep(c, s))
             .collect();
-        worthy.sort_by(|a, b| b.1.total_cmp(&a.1));
-        worthy.into_iter().map(|(c, _)| c).collect()
+        found.sort_by(|a, b| b.1.held_gain.total_cmp(&a.1.held_gain));
+        found
     }
 
     /// Cost that the noise of the sensors does not explain.
@@ -59,22 +77,6 @@ impl Search<'_> {
             .sum();
         let cost = screen.normal.cost();
         (cost - noise).max(UNEXPLAINED * cost)
-    }
-
-    /// Whether a candidate makes sense and can be seen.
-    fn may_be(&self, c: &Candidate, s: &Score) -> bool {
-        let name = c.effect.about().name;
-        (self.effects.is_empty() || self.effects.iter().any(|n| n == name))
-            && c.sensible
-            && s.visible >= LEAST_VISIBLE
-    }
-
-    fn is_worthy(&self, c: &Candidate, s: &Score, tests: usize, cost: f64) -> bool {
-        self.may_be(c, s)
-            && s.p_value * tests as f64 <= self.limits.family_p
-            && s.gain >= self.limits.gain * cost
-            && s.held_gain > s.held_sigma
-            && c.size.is_none_or(|size| size >= self.limits.size)
     }
 
     /// Fits the candidates that promise most, and keeps the best that stands. `false`: none does.
@@ -108,16 +110,13 @@ impl Search<'_> {
         let most = fitted.iter().map(|f| fall(&f.0)).fold(0.0, f64::max);
         fitted.retain(|f| fall(&f.0) >= LEADING * most);
         for (own, _) in &mut fitted {
-            let fit = own.windows.fit(&own.x, ITERATIONS, &mut |i| watch.fit(i))?;
-            (own.x, own.cost) = (fit.x, fit.cost);
-            own.chosen = own.built.values(&own.windows.problem, &own.x, &own.written);
+            own.improve(watch)?;
         }
         fitted.retain(|f| fall(&f.0) >= least);
         let price = |f: &Fitted| f.cost + NUMBER * (f.x.len() as f64);
         fitted.sort_by(|a, b| price(&a.0).total_cmp(&price(&b.0)));
         let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
         for (own, c) in fitted {
-            let mut then = self.clone();
             let held = self.held_cost(&own.built, &own.windows, &own.x)?;
             let most = held_before.map(|before| (1.0 - OF_USE) * before);
             let falls = most.is_none_or(|most| held.is_some_and(|held| held < most));
@@ -125,6 +124,7 @@ impl Search<'_> {
                 continue;
             }
             let gain = (self.cost - own.cost) / self.cost;
+            let mut then = self.clone();
             then.take(own);
             then.settle(watch)?;
             let evidence = then.evidence(c, tests(screen), gain)?;
@@ -144,24 +144,17 @@ impl Search<'_> {
         let (least, tests) = (self.limits.gain * self.unexplained(screen), tests(screen));
         let likely = |s: &Score| s.p_value * tests as f64 <= LIKELY && s.held_gain > 0.0;
         let large = |c: &Candidate| c.size.is_none_or(|size| size >= LARGE * self.limits.size);
-        let mut found: Vec<(&Candidate, f64)> = (screen.candidates.iter())
-            .filter_map(|c| Some((c, c.score.as_ref()?)))
-            .filter(|(c, s)| self.may_be(c, s) && large(c) && s.gain >= least && likely(s))
-            .map(|(c, s)| (c, s.held_gain))
-            .collect();
-        found.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let most = found.first().map_or(0.0, |f| f.1);
-        let near = found.into_iter().filter(|f| f.1 >= NEAR * most);
+        let found = self.best_first(screen, |c, s| large(c) && s.gain >= least && likely(s));
+        let most = found.first().map_or(0.0, |f| f.1.held_gain);
+        let near = found.into_iter().filter(|f| f.1.held_gain >= NEAR * most);
         near.map(|f| f.0).take(RIVALS).collect()
     }
 
     /// What speaks for `c`, the effect added last, of the model as it is fitted now.
     fn evidence(&self, c: &Candidate, tests: usize, gain: f64) -> Result<Evidence, GapError> {
         let (last, linear) = (self.chosen.len() - 1, self.windows.linearise(&self.x)?);
-        let prior = screen::prior(&self.windows.problem.parameters, &self.x);
-        let normal = score::Normal::new(&linear.rows, &[], &self.stretch_of, &prior);
-        let solve = |b: &DVector<f64>| normal.solve(b);
-        let step = self.windows.step_error(&self.x, &linear, solve)?;
+        let normal = self.normal(&linear);
+        let step = self.windows.step_error(&self.x, &linear, &normal)?;
         let sizes = self.sureness(&normal, last, step.as_ref());
         let p = match (&sizes[..], &c.score) {
             ([], Some(score)) => score.p_value,

@@ -39,7 +39,8 @@ pub(super) fn check_effects(
 /// Every fitted parameter must show in the recordings, or have a prior.
 pub(super) fn excited(search: &Search<'_>) -> Result<(), GapError> {
     let parameters = &search.windows.problem.parameters;
-    let spread = search.normal()?.spread();
+    let linear = search.windows.linearise(&search.x)?;
+    let spread = search.normal(&linear).spread();
     let blind: Vec<&str> = (parameters.iter_free().zip(&spread))
         .filter(|(p, sigma)| !p.prior_sigma.is_finite() && **sigma > BLIND * p.typical)
         .map(|(p, _)| p.name.as_str())

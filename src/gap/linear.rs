@@ -90,9 +90,10 @@ impl Windows {
         let here = here.ok_or_else(lost)?;
         let windows = self.windows();
         let placed = place(&self.problem, &windows, x);
-        let slow = coarse::slow(&self.problem, factor)?;
-        let slow_windows = coarse::windows(&windows, factor);
-        let slow_placed = coarse::placed(&self.problem, &placed, factor);
+        let longer = factor as f64;
+        let slow = coarse::problem(&self.problem, longer)?;
+        let slow_windows = coarse::windows(&windows, longer);
+        let slow_placed = coarse::placed(&self.problem, &placed, longer);
         let pool = Pool::default();
         let states: Vec<State> = here.iter().map(|f| f.state.clone()).collect();
         let directions = match Loops::new(&self.problem, x)? {
@@ -238,10 +239,11 @@ impl Linear {
         some: &[usize],
         simulate: Simulate<'_>,
     ) -> Result<Column, SysidError> {
-        let slow = coarse::slow(held, self.steps)?;
-        let windows = coarse::windows(&self.windows, self.steps);
+        let longer = self.steps as f64;
+        let slow = coarse::problem(held, longer)?;
+        let windows = coarse::windows(&self.windows, longer);
         let windows: Vec<Window> = some.iter().map(|i| windows[*i].clone()).collect();
-        let placed = coarse::placed(held, &self.placed, self.steps);
+        let placed = coarse::placed(held, &self.placed, longer);
         let placed: Vec<Vec<Placed>> = some.iter().map(|i| placed[*i].clone()).collect();
         let states: Vec<State> = some.iter().map(|i| self.states[*i].clone()).collect();
         let pool = Pool::default();

@@ -9,8 +9,6 @@
 //!
 //! in units of the noise that the recordings show ([`super::score`]).
 
-use nalgebra::DVector;
-
 use super::effect::{Role, Sign, named};
 use super::result::{Named, Value, Where};
 use super::score::Normal;
@@ -29,8 +27,10 @@ const ABSURD: f64 = 2.0;
 /// # Errors
 /// The engine refuses a number.
 pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, SysidError> {
-    let solve = |b: &DVector<f64>| screen.normal.solve(b);
-    let step = (search.windows).step_error(&search.x, &screen.linear, solve)?;
+    if search.chosen.is_empty() {
+        return Ok(Vec::new());
+    }
+    let step = (search.windows).step_error(&search.x, &screen.linear, &screen.normal)?;
     let free = search.built.free(&search.windows.problem);
     let mut out = Vec::new();
     for (i, chosen) in search.chosen.iter().enumerate() {

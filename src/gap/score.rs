@@ -171,12 +171,18 @@ impl Normal {
 
     /// Standard deviation of every parameter's x by the residuals' weights and priors alone.
     pub(super) fn spread(&self) -> Vec<f64> {
-        let np = self.n_parameters;
+        let each = 0..self.n_parameters;
+        each.map(|j| self.variance(j).sqrt()).collect()
+    }
+
+    /// Its square, of one.
+    fn variance(&self, parameter: usize) -> f64 {
         let Some(factor) = &self.all().factor else {
-            return vec![f64::INFINITY; np];
+            return f64::INFINITY;
         };
-        let inverse = factor.inverse();
-        (0..np).map(|j| inverse[(j, j)].max(0.0).sqrt()).collect()
+        let mut unit = DVector::zeros(self.n_parameters);
+        unit[parameter] = 1.0;
+        factor.solve(&unit)[parameter].max(0.0)
     }
 
     /// (J̃ᵀJ̃ + P)⁻¹ b of the parameters alone; none where they cannot be told apart.
@@ -196,8 +202,8 @@ impl Normal {
             .collect();
         let entry = |b: usize| self.stretches[b][(parameter, parameter)];
         let (own, dof) = (jackknife(&steps), freedom((0..count).map(entry)));
-        let common = self.spread()[parameter];
-        let variance = (dof * own * own + COMMON_DOF * common * common) / (dof + COMMON_DOF);
+        let common = self.variance(parameter);
+        let variance = (dof * own * own + COMMON_DOF * common) / (dof + COMMON_DOF);
         (variance.sqrt(), dof + COMMON_DOF)
     }
 

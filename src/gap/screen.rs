@@ -270,40 +270,30 @@ impl Look<'_> {
         (linear, absorb): At<'_>,
         stride: usize,
     ) -> Result<Option<Column>, GapError> {
-        let Some(held) = self.with(effect, place, values, self.x) else {
+        let Some(problem) = self.with(effect, place, values) else {
             return Ok(None);
         };
-        let column = linear.column(&held, size, stride)?;
+        let column = linear.column(&self.windows.held(&problem, self.x), size, stride)?;
         let Some(dx) = absorb.moved(linear, &column, size) else {
             return Ok(Some(column));
         };
         let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
-        let Some(held) = self.with(effect, place, values, &x) else {
-            return Ok(Some(column));
-        };
-        let again = linear.column(&held, size, stride)?;
+        let again = linear.column(&self.windows.held(&problem, &x), size, stride)?;
         Ok(Some(again.without(linear, &dx, size)))
     }
 
-    /// The problem with an effect, everything held at `x`.
-    fn with(
-        &self,
-        effect: &'static dyn Effect,
-        place: &Place,
-        values: &[f64],
-        x: &[f64],
-    ) -> Option<Problem> {
+    /// The problem with an effect.
+    fn with(&self, effect: &'static dyn Effect, place: &Place, values: &[f64]) -> Option<Problem> {
         // what a place cannot carry is no candidate there
         let written = effect::write(&self.built.file, effect, place, values).ok()?;
         let problem = &self.windows.problem;
         let names: Vec<String> = problem.channels.iter().map(|c| c.name.clone()).collect();
         let parameters = Parameters::new(&written.file.model, &self.built.rules, &names).ok()?;
-        let changed = Problem {
+        Some(Problem {
             model: written.file.model,
             parameters,
             ..problem.clone()
-        };
-        Some(self.windows.held(&changed, x))
+        })
     }
 
     /// The best period of many.

@@ -12,6 +12,7 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use super::effect::{ModelFile, Place};
+use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
 use super::screen::{Look, Screen};
@@ -190,7 +191,7 @@ impl<'a> Search<'a> {
     pub(super) fn delete(&mut self, watch: &mut Watch<'_>) -> Result<bool, GapError> {
         let mut any = false;
         while self.chosen.len() > 1 {
-            let normal = self.normal()?;
+            let normal = self.normal(&self.windows.linearise(&self.x)?);
             let mut weakest: Option<(f64, usize)> = None;
             for (i, _) in self.chosen.iter().enumerate() {
                 let p = doubt(&self.sureness(&normal, i, None));
@@ -211,16 +212,10 @@ impl<'a> Search<'a> {
         Ok(any)
     }
 
-    /// Sums of products at the present point, of parameters alone.
-    pub(super) fn normal(&self) -> Result<score::Normal, GapError> {
-        let linear = self.windows.linearise(&self.x)?;
+    /// Sums of products of parameters alone, `linear` being at the present point.
+    pub(super) fn normal(&self, linear: &Linear) -> score::Normal {
         let prior = super::screen::prior(&self.windows.problem.parameters, &self.x);
-        Ok(score::Normal::new(
-            &linear.rows,
-            &[],
-            &self.stretch_of,
-            &prior,
-        ))
+        score::Normal::new(&linear.rows, &[], &self.stretch_of, &prior)
     }
 
     /// (t, degrees of freedom) of every size of an effect in the model, `step` being what the model's own step makes of
@@ -317,4 +312,17 @@ pub(super) struct Fitted {
     pub x: Vec<f64>,
     pub cost: f64,
     pub windows: Windows,
+}
+
+impl Fitted {
+    /// Goes on with the fit.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn improve(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
+        let fit = (self.windows).fit(&self.x, ITERATIONS, &mut |i| watch.fit(i))?;
+        (self.x, self.cost) = (fit.x, fit.cost);
+        self.chosen = (self.built).values(&self.windows.problem, &self.x, &self.written);
+        Ok(())
+    }
 }

@@ -10,20 +10,19 @@
 //!
 //! twice, as half the error is gone in half the step, and belongs to the intervals of numbers (Richardson 1911).
 
-use std::sync::Arc;
-
 use nalgebra::DVector;
 
+use super::coarse;
 use super::linear::Linear;
+use super::score::Normal;
 use super::windows::Windows;
 use crate::sysid::SysidError;
-use crate::sysid::problem::Problem;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::simulate::Pool;
-use crate::sysid::shooting::window::{Placed, Window};
 
 impl Windows {
-    /// dx of every free parameter from the step of the model; `linear` is at `x`. `None` where half the step breaks down.
+    /// dx of every free parameter from the step of the model; `linear` and `normal` are at `x`. `None` where half the step
+    /// breaks down.
     ///
     /// # Errors
     /// The engine refuses a number.
@@ -31,19 +30,12 @@ impl Windows {
         &self,
         x: &[f64],
         linear: &Linear,
-        solve: impl Fn(&DVector<f64>) -> DVector<f64>,
+        normal: &Normal,
     ) -> Result<Option<DVector<f64>>, SysidError> {
         let held = self.held(&self.problem, x);
-        let fine = halved(&held)?;
-        let fine_windows: Vec<Window> = (linear.windows.iter())
-            .map(|w| Window {
-                last: 2 * w.last,
-                ..w.clone()
-            })
-            .collect();
-        let fine_placed: Vec<Vec<Placed>> = (linear.placed.iter())
-            .map(|own| own.iter().map(twice).collect())
-            .collect();
+        let fine = coarse::problem(&held, 0.5)?;
+        let fine_windows = coarse::windows(&linear.windows, 0.5);
+        let fine_placed = coarse::placed(&held, &linear.placed, 0.5);
         let pools = [Pool::default(), Pool::default()];
         let point = |problem, windows, placed, pool| Point {
             problem,
@@ -70,32 +62,6 @@ impl Windows {
             let change = DVector::from_iterator(row.residual.len(), change);
             along.gemv_tr(-2.0, &row.parameters, &change, 1.0);
         }
-        Ok(Some(solve(&along)))
-    }
-}
-
-fn halved(problem: &Problem) -> Result<Problem, SysidError> {
-    let mut model = problem.model.try_clone()?;
-    let mut edit = model.edit();
-    edit.set_timestep(0.5 * problem.model.timestep())?;
-    edit.finish()?;
-    let mut fine = Problem {
-        model: Arc::new(model),
-        ..problem.clone()
-    };
-    for trial in &mut fine.trials {
-        trial.n_knots = 2 * (trial.n_knots - 1) + 1;
-    }
-    Ok(fine)
-}
-
-/// Where a sample lies in half the step.
-fn twice(p: &Placed) -> Placed {
-    let at = 2.0 * p.part;
-    let second = usize::from(at >= 1.0);
-    Placed {
-        knot: 2 * p.knot + second,
-        part: at - second as f64,
-        sample: p.sample,
+        Ok(Some(normal.solve(&along)))
     }
 }

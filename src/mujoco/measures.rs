@@ -98,4 +98,9 @@ impl Model {
             _ => None,
         }
     }
+
+    /// Joints with one coordinate: hinges and slides.
+    pub fn scalar_joints(&self) -> impl Iterator<Item = usize> {
+        (0..self.njnt()).filter(|joint| self.is_slide(*joint).is_some())
+    }
 }

@@ -34,18 +34,13 @@ pub(super) fn offset(_: &Model, joint: usize) -> Built {
 }
 
 pub(super) fn delay(model: &Model, _: usize) -> Built {
-    Ok(Box::new(Delay(scalar_joints(model).collect())))
-}
-
-/// Hinges and slides.
-pub(super) fn scalar_joints(model: &Model) -> impl Iterator<Item = usize> {
-    (0..model.njnt()).filter(|j| model.is_slide(*j).is_some())
+    Ok(Box::new(Delay(model.scalar_joints().collect())))
 }
 
 /// Joint, address and which of position and velocity of every sensor of a hinge or slide.
 pub(super) fn sensors(model: &Model) -> impl Iterator<Item = (usize, usize, usize)> {
     let joint_at =
-        |addresses: &[i32], at: usize| scalar_joints(model).find(|j| addresses[*j] as usize == at);
+        |addresses: &[i32], at: usize| model.scalar_joints().find(|j| addresses[*j] as usize == at);
     (0..model.nsensor()).filter_map(move |sensor| {
         let address = model.sensor_adr()[sensor] as usize;
         match model.measures(sensor) {

@@ -111,6 +111,16 @@ impl Parameter {
     pub fn bounds(&self) -> (f64, f64) {
         (self.to_x(self.lower), self.to_x(self.upper))
     }
+
+    /// How far `x` may go down and up within its bounds, by at most `log_step` on a log scale.
+    pub(crate) fn reach(&self, x: f64, log_step: f64) -> (f64, f64) {
+        let (lower, upper) = self.bounds();
+        let most = match self.scale {
+            Scale::Log => log_step,
+            Scale::Linear => f64::INFINITY,
+        };
+        ((lower - x).max(-most), (upper - x).min(most))
+    }
 }
 
 /// All parameters of a problem.
@@ -207,16 +217,9 @@ impl Parameters {
     }
 
     /// How far x (free) may go down and up in one step of an estimator.
-    pub(super) fn reach(&self, x: &[f64]) -> impl Iterator<Item = (f64, f64)> {
-        self.iter_free().zip(x).map(|(p, x)| {
-            let (lower, upper) = p.bounds();
-            let most = if p.scale == Scale::Log {
-                LOG_STEP
-            } else {
-                f64::INFINITY
-            };
-            ((lower - x).max(-most), (upper - x).min(most))
-        })
+    pub(crate) fn reach(&self, x: &[f64]) -> impl Iterator<Item = (f64, f64)> {
+        let each = self.iter_free().zip(x);
+        each.map(|(p, x)| p.reach(*x, LOG_STEP))
     }
 
     /// Whether estimated parameter `j` changes the model, not an instrument.

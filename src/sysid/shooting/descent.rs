@@ -13,7 +13,7 @@ use crate::sysid::SysidError;
 use crate::sysid::arrow::Arrow;
 use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::fit::{Iteration, Status};
-use crate::sysid::parameter::{Parameter, Scale};
+use crate::sysid::parameter::Parameter;
 use crate::sysid::problem::Problem;
 
 const FIRST_DAMPING: f64 = 1e-3;
@@ -27,8 +27,6 @@ const LEAST_FALL: f64 = 1e-6;
 /// change no more than matters for intervals.
 const NEAR: f64 = 1e-3;
 const NEAR_STATE: f64 = 1e-5;
-/// Largest change of x on a log scale in one step.
-const LOG_STEP: f64 = 1.0;
 /// Parts of the change of a window's state that are tried.
 const PARTS: [f64; 3] = [1.0, 0.3, 0.0];
 /// Sensitivity that a state is taken to have at least, so that one which nothing measures stays where it is.
@@ -425,22 +423,14 @@ impl<'a> Descent<'a> {
                 }
             }
         }
-        let mut low = vec![0.0; np];
-        let mut high = vec![0.0; np];
         for (i, p) in self.problem.parameters.iter_free().enumerate() {
             if p.prior_sigma.is_finite() {
                 normal[(i, i)] += p.prior_sigma.powi(-2);
                 right[i] -= (self.x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
             }
             normal[(i, i)] += self.damping * normal[(i, i)].max(LEAST_SENSITIVITY.powi(2));
-            let (lower, upper) = p.bounds();
-            let most = match p.scale {
-                Scale::Log => LOG_STEP,
-                Scale::Linear => f64::INFINITY,
-            };
-            low[i] = (lower - self.x[i]).max(-most);
-            high[i] = (upper - self.x[i]).min(most);
         }
+        let (low, high): (Vec<f64>, Vec<f64>) = self.problem.parameters.reach(&self.x).unzip();
         solve_in_box(&normal, &right, &low, &high)
     }
 

@@ -162,8 +162,7 @@ fn past_len(model: &Model) -> usize {
 fn past(data: &mut Data, state: &State, commands: &[f64]) -> Result<(), SysidError> {
     let model = Arc::clone(data.model_arc());
     let (h, nu, n) = (model.timestep(), model.nu(), past_len(&model));
-    let scalar: Vec<(usize, usize)> = (0..model.njnt())
-        .filter(|j| model.is_slide(*j).is_some())
+    let scalar: Vec<(usize, usize)> = (model.scalar_joints())
         .map(|j| {
             (
                 model.jnt_qposadr()[j] as usize,
