@@ -25,6 +25,10 @@ const OWN: f64 = 1e-6;
 /// Information that an unknown is taken to have at least.
 pub(super) const LEAST_INFORMATION: f64 = 1e-12;
 
+/// Changes of a first position, rad or m, and of a first velocity, per second, for which readings may be taken as linear.
+const SMALL_POSITION: f64 = 1e-3;
+const SMALL_VELOCITY: f64 = 0.1;
+
 /// A window's rows: whitened, what its first state explains taken out.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
@@ -166,25 +170,33 @@ impl Windows {
 }
 
 impl Row {
+    /// Least squares of R ds + b + λ |ds|², ds in units of [`SMALL_POSITION`] and [`SMALL_VELOCITY`]: what is measured
+    /// hardly feels it, and what readings do not see, as the tilt of a body whose position is measured, stays where a
+    /// linearisation means something.
+    pub(super) fn damped(&self, b: &DVector<f64>, damping: f64) -> DVector<f64> {
+        let mut normal = self.triangle.tr_mul(&self.triangle);
+        let n = normal.nrows();
+        for i in 0..n {
+            let small = if i < n / 2 {
+                SMALL_POSITION
+            } else {
+                SMALL_VELOCITY
+            };
+            normal[(i, i)] += damping * small.powi(-2);
+        }
+        let right = -self.triangle.tr_mul(b);
+        match normal.cholesky() {
+            Some(factor) => factor.solve(&right),
+            None => DVector::zeros(right.len()),
+        }
+    }
+
     /// (2 nv) a change `own` (n) of the unknowns as one of the first state.
     pub(super) fn change(&self, own: DVector<f64>) -> DVector<f64> {
         match &self.directions {
             Some(directions) => directions * own,
             None => own,
         }
-    }
-}
-
-/// Least squares of R ds + b, each unknown held back in proportion to what is known of it.
-pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
-    let mut normal = triangle.tr_mul(triangle);
-    for i in 0..normal.nrows() {
-        normal[(i, i)] += damping * normal[(i, i)] + LEAST_INFORMATION;
-    }
-    let right = -triangle.tr_mul(b);
-    match normal.cholesky() {
-        Some(factor) => factor.solve(&right),
-        None => DVector::zeros(right.len()),
     }
 }
 

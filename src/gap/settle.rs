@@ -10,17 +10,16 @@
 //!
 //! with Q, R of [`super::linear`], at the window's own point.
 
-use super::fit::Followed;
-use super::linear::{Linear, Row, damped};
+use super::fit::{DAMPING, Followed};
+use super::linear::{Linear, Row};
 use super::windows::Windows;
 
 /// Part of the mean cost of a window that its state may still take off it.
 const SETTLED: f64 = 0.05;
 /// Steps of a window at most.
 const STEPS: usize = 5;
-const FIRST_DAMPING: f64 = 1e-6;
-const LEAST_DAMPING: f64 = 1e-9;
-const MOST_DAMPING: f64 = 1e2;
+const LEAST_DAMPING: f64 = 1e-6;
+const MOST_DAMPING: f64 = 1e8;
 
 impl Windows {
     /// Brings the windows `here`, at parameters `x`, nearer to what their first states allow; `linear` is of a near
@@ -43,7 +42,7 @@ impl Windows {
         let mut held = self.clone();
         held.problem = self.held(&self.problem, x);
         held.states = here.iter().map(|f| f.state.clone()).collect();
-        let mut damping = vec![FIRST_DAMPING; here.len()];
+        let mut damping = vec![DAMPING; here.len()];
         for _ in 0..STEPS {
             let some = held.only(&left);
             let Ok(linear) = some.linearise(&[]) else {
@@ -54,7 +53,7 @@ impl Windows {
             for (k, &w) in left.iter().enumerate() {
                 let row = &linear.rows[k];
                 let along = left_in(row, &here[w]);
-                let own = damped(&row.triangle, &along, damping[w]);
+                let own = row.damped(&along, damping[w]);
                 let rest = &along + &row.triangle * &own;
                 if 0.5 * (along.norm_squared() - rest.norm_squared()) <= enough {
                     continue;
