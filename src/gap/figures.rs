@@ -39,6 +39,13 @@ pub fn summary(answer: &Answer) -> Vec<String> {
             inputs(&l.inputs)
         ));
     }
+    if let (Some(before), Some(after)) = (answer.remaining.before, answer.remaining.after) {
+        out.push(format!(
+            "readings that nothing explains: {} -> {} % of what the motors do to them",
+            number(100.0 * before),
+            number(100.0 * after)
+        ));
+    }
     if let Some(h) = &answer.gap.holdout {
         let floor = h
             .noise_floor
@@ -106,8 +113,12 @@ fn verdict(answer: &Answer) -> String {
             answer.effects.len()
         ),
         Verdict::Unknown => {
-            "verdict: unknown, something is missing that no effect of the catalogue explains"
-                .to_owned()
+            let what =
+                "verdict: unknown, something is missing that no effect of the catalogue explains";
+            match answer.effects.len() {
+                0 => what.to_owned(),
+                n => format!("{what}; {n} found, which take a part of it or stand for it"),
+            }
         }
         Verdict::None => format!(
             "verdict: none, nothing is missing that these recordings show ({} candidates tested)",

@@ -1,7 +1,7 @@
 //! Parameters and first states of all windows: Gauss-Newton with derivatives that serve for several steps.
 //!
 //! ```text
-//! dx = −(Σ J̃ᵀJ̃ + P)⁻¹ (Σ J̃ᵀ r̃ + P (x − x̄))        ds = −(RᵀR + λ D)⁻¹ Rᵀ (Qᵀ r + Qᵀ J dx)
+//! dx = −(Σ J̃ᵀJ̃ + P)⁻¹ (Σ J̃ᵀ r̃ + P (x − x̄))        ds = −(RᵀR + D)⁻¹ Rᵀ (Qᵀ r + Qᵀ J dx)
 //! ```
 //!
 //! with P the precision of priors, bounds kept, and Q, R, J̃, r̃ of [`super::linear`]. r is simulated exactly after each
@@ -24,8 +24,6 @@ use crate::sysid::shooting::window::{State, place};
 
 /// Part of a direction's information that is added to it.
 const RIDGE: f64 = 1e-9;
-/// What holds first states back, see [`Row::damped`].
-pub(super) const DAMPING: f64 = 1e-4;
 /// Fall of the cost that is not worth a step: a fraction of what a parameter's standard deviation makes.
 const LEAST_FALL: f64 = 0.02;
 /// The same as a part of the cost.
@@ -299,7 +297,7 @@ impl Windows {
         let mut fall = parameters.prior_cost(x) - parameters.prior_cost(&to);
         fall -= gradient.dot(&change) + 0.5 * far;
         for (row, along) in linear.rows.iter().zip(&along) {
-            let rest = along + &row.triangle * row.damped(along, DAMPING);
+            let rest = along + &row.triangle * row.damped(along, RIDGE);
             fall += 0.5 * (along.norm_squared() - rest.norm_squared());
         }
         Step {
@@ -340,7 +338,7 @@ impl Step {
     fn changes(&self, linear: &Linear, part: f64) -> Vec<DVector<f64>> {
         let change = part * DVector::from_column_slice(&self.dx);
         let each = linear.rows.iter().zip(&self.along);
-        each.map(|(row, along)| row.change(row.damped(&(along + &row.along * &change), DAMPING)))
+        each.map(|(row, along)| row.change(row.damped(&(along + &row.along * &change), RIDGE)))
             .collect()
     }
 }

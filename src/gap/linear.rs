@@ -25,9 +25,8 @@ const OWN: f64 = 1e-6;
 /// Information that an unknown is taken to have at least.
 pub(super) const LEAST_INFORMATION: f64 = 1e-12;
 
-/// Changes of a first position, rad or m, and of a first velocity, per second, for which readings may be taken as linear.
-const SMALL_POSITION: f64 = 1e-3;
-const SMALL_VELOCITY: f64 = 0.1;
+/// Part of the information on the best known position or velocity below which another is not seen.
+const UNSEEN: f64 = 1e-12;
 
 /// A window's rows: whitened, what its first state explains taken out.
 #[derive(Debug, Clone)]
@@ -170,25 +169,9 @@ impl Windows {
 }
 
 impl Row {
-    /// Least squares of R ds + b + λ |ds|², ds in units of [`SMALL_POSITION`] and [`SMALL_VELOCITY`]: what is measured
-    /// hardly feels it, and what readings do not see, as the tilt of a body whose position is measured, stays where a
-    /// linearisation means something.
+    /// ds from Qᵀ r = `b`, see [`least_squares`].
     pub(super) fn damped(&self, b: &DVector<f64>, damping: f64) -> DVector<f64> {
-        let mut normal = self.triangle.tr_mul(&self.triangle);
-        let n = normal.nrows();
-        for i in 0..n {
-            let small = if i < n / 2 {
-                SMALL_POSITION
-            } else {
-                SMALL_VELOCITY
-            };
-            normal[(i, i)] += damping * small.powi(-2);
-        }
-        let right = -self.triangle.tr_mul(b);
-        match normal.cholesky() {
-            Some(factor) => factor.solve(&right),
-            None => DVector::zeros(right.len()),
-        }
+        least_squares(&self.triangle, b, damping)
     }
 
     /// (2 nv) a change `own` (n) of the unknowns as one of the first state.
@@ -197,6 +180,26 @@ impl Row {
             Some(directions) => directions * own,
             None => own,
         }
+    }
+}
+
+/// Least squares of R ds + b, each unknown held back in proportion to what is known of it, and a little in proportion to
+/// what is known of the best: what readings do not see, as the tilt of a body whose position is measured, would go as far
+/// as rounding says.
+fn least_squares(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
+    let mut normal = triangle.tr_mul(triangle);
+    let n = normal.nrows();
+    // positions, then velocities
+    for kind in [0..n / 2, n / 2..n] {
+        let best = kind.clone().map(|i| normal[(i, i)]).fold(0.0, f64::max);
+        for i in kind {
+            normal[(i, i)] += damping * normal[(i, i)] + UNSEEN * best + LEAST_INFORMATION;
+        }
+    }
+    let right = -triangle.tr_mul(b);
+    match normal.cholesky() {
+        Some(factor) => factor.solve(&right),
+        None => DVector::zeros(right.len()),
     }
 }
 
@@ -321,5 +324,19 @@ impl Linear {
             }
         }
         Ok(Some(self.column(&still, 1.0, 1)?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_readings_hardly_see_stays_where_it_is() {
+        // a measured position, and a tilt that rounding alone seems to show
+        let triangle = DMatrix::from_row_slice(2, 4, &[1e4, 0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0]);
+        let ds = least_squares(&triangle, &DVector::from_element(2, 1.0), 0.0);
+        assert!((ds[0] + 1e-4).abs() < 1e-8, "{ds}");
+        assert!(ds[1].abs() < 0.1, "{ds}");
     }
 }

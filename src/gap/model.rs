@@ -56,7 +56,11 @@ impl Built {
             let scales = measured.scales(&built.file.model, &c.place);
             for mut e in written.estimated {
                 let parameter = &c.effect.about().parameters[e.parameter];
-                let most = BEYOND * parameter.high * parameter.scale(&scales);
+                let beyond = match parameter.role {
+                    Role::Threshold(_) => 1.0, // a share of what there is
+                    _ => BEYOND,
+                };
+                let most = beyond * parameter.high * parameter.scale(&scales);
                 let ends = [e.number_of(-most), e.number_of(most)];
                 let start = e.rule.start.unwrap_or(0.0);
                 if parameter.is_size()

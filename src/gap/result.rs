@@ -212,6 +212,15 @@ pub struct Left {
     pub inputs: Vec<(String, f64)>,
 }
 
+/// What is left of the readings, above noise, as a part of what motors do to them; none where motors do nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Remaining {
+    /// with the base model
+    pub before: Option<f64>,
+    /// with the effects
+    pub after: Option<f64>,
+}
+
 /// Everything.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Answer {
@@ -233,6 +242,8 @@ pub struct Answer {
     pub evidence: Vec<Tested>,
     /// what is left unexplained
     pub left: Vec<Left>,
+    /// which decides whether anything is
+    pub remaining: Remaining,
     /// simulating the repaired model and searching again
     pub round_trip: Option<RoundTrip>,
     /// s of a window

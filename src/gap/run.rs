@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::effect::{self, ModelFile};
 use super::inputs::{check_effects, excited, judged, same_channels};
 use super::locate::Missing;
-use super::result::{Answer, Experiment, Left, Tested, Untestable, Verdict};
+use super::result::{Answer, Experiment, Remaining, Tested, Untestable, Verdict};
 use super::screen::{LEAST_VISIBLE, Screen};
 use super::search::{Limits, Search};
 use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
@@ -154,6 +154,7 @@ pub fn resume(
             evidence: tested(&found),
             untestable: untestable(&search, &found),
             n_candidates: super::forward::tests(&found),
+            remaining: search.remaining(&found)?,
             missing: MissingSeries::new(&missing),
         };
         stages::save(keeper, "screen", &first);
@@ -197,7 +198,12 @@ pub fn resume(
     watch.stage(Stage::Name);
     let effects = name::name(&search, &screen)?;
     let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
-    let rest = left::left(&last);
+    let remaining = Remaining {
+        before: first.remaining,
+        after: search.remaining(&screen)?,
+    };
+    let much = left::much(&remaining);
+    let rest = left::left(&last, much);
     watch.stage(Stage::Verify);
     let round_trip = if effects.is_empty() {
         None
@@ -221,7 +227,7 @@ pub fn resume(
         &sigma,
         options.seed,
     )?;
-    let verdict = verdict(&effects, &rest);
+    let verdict = verdict(&effects, !rest.is_empty(), much);
     let next_experiment = next(&effects, &first.untestable);
     let model = repaired(&search, input.model)?;
     let rules = (search.built.estimated.iter())
@@ -243,6 +249,7 @@ pub fn resume(
             model: "model.xml".into(),
             evidence: first.evidence,
             left: rest,
+            remaining,
             round_trip,
             window_s: search.windows.length_s,
             n_windows: search.windows.len(),
@@ -350,18 +357,14 @@ fn repaired(search: &Search<'_>, base: &ModelFile) -> Result<String, GapError> {
     Ok(text.map_err(effect::EffectError::from)?)
 }
 
-fn verdict(effects: &[super::result::Named], rest: &[Left]) -> Verdict {
-    if effects.is_empty() {
-        return if rest.is_empty() {
-            Verdict::None
-        } else {
-            Verdict::Unknown
-        };
-    }
-    if effects.iter().any(|e| e.class.len() > 1) {
-        Verdict::Ambiguous
-    } else {
-        Verdict::Effect
+/// `structure` is left, or `much` of anything.
+fn verdict(effects: &[super::result::Named], structure: bool, much: bool) -> Verdict {
+    match effects {
+        _ if much => Verdict::Unknown,
+        [] if structure => Verdict::Unknown,
+        [] => Verdict::None,
+        _ if effects.iter().any(|e| e.class.len() > 1) => Verdict::Ambiguous,
+        _ => Verdict::Effect,
     }
 }
 

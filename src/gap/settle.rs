@@ -10,7 +10,7 @@
 //!
 //! with Q, R of [`super::linear`], at the window's own point.
 
-use super::fit::{DAMPING, Followed};
+use super::fit::Followed;
 use super::linear::{Linear, Row};
 use super::windows::Windows;
 
@@ -18,8 +18,9 @@ use super::windows::Windows;
 const SETTLED: f64 = 0.05;
 /// Steps of a window at most.
 const STEPS: usize = 5;
-const LEAST_DAMPING: f64 = 1e-6;
-const MOST_DAMPING: f64 = 1e8;
+const FIRST_DAMPING: f64 = 1e-6;
+const LEAST_DAMPING: f64 = 1e-9;
+const MOST_DAMPING: f64 = 1e2;
 
 impl Windows {
     /// Brings the windows `here`, at parameters `x`, nearer to what their first states allow; `linear` is of a near
@@ -42,7 +43,7 @@ impl Windows {
         let mut held = self.clone();
         held.problem = self.held(&self.problem, x);
         held.states = here.iter().map(|f| f.state.clone()).collect();
-        let mut damping = vec![DAMPING; here.len()];
+        let mut damping = vec![FIRST_DAMPING; here.len()];
         for _ in 0..STEPS {
             let some = held.only(&left);
             let Ok(linear) = some.linearise(&[]) else {

@@ -66,6 +66,7 @@ pub(super) struct Screened {
     pub evidence: Vec<Tested>,
     pub untestable: Vec<Untestable>,
     pub n_candidates: usize,
+    pub remaining: Option<f64>,
     pub missing: MissingSeries,
 }
 
