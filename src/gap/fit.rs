@@ -4,14 +4,14 @@
 //! dx = −(Σ J̃ᵀJ̃ + P)⁻¹ (Σ J̃ᵀ r̃ + P (x − x̄))        ds = −(RᵀR + D)⁻¹ Rᵀ (Qᵀ r + Qᵀ J dx)
 //! ```
 //!
-//! with P the precision of priors, bounds kept, and Q, R, J̃, r̃ of [`super::linear`]. r is simulated exactly after each
+//! with P the precision of priors, bounds kept, D a trace that holds back what readings do not see, and Q, R, J̃, r̃ of [`super::linear`]. r is simulated exactly after each
 //! step; J and Q, which cost a simulation an unknown, are only where the cost does not fall as they foretell. Windows
 //! know nothing of each other: each takes the part of its ds that suits it, and those that friction or stops bend go on
 //! by themselves ([`super::settle`]).
 
 use nalgebra::{DMatrix, DVector};
 
-use super::linear::{LEAST_INFORMATION, Linear, Row};
+use super::linear::{LEAST_INFORMATION, Linear, Row, damped};
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::box_qp::solve_in_box;
@@ -297,7 +297,7 @@ impl Windows {
         let mut fall = parameters.prior_cost(x) - parameters.prior_cost(&to);
         fall -= gradient.dot(&change) + 0.5 * far;
         for (row, along) in linear.rows.iter().zip(&along) {
-            let rest = along + &row.triangle * row.damped(along, RIDGE);
+            let rest = along + &row.triangle * damped(&row.triangle, along, RIDGE);
             fall += 0.5 * (along.norm_squared() - rest.norm_squared());
         }
         Step {
@@ -338,8 +338,14 @@ impl Step {
     fn changes(&self, linear: &Linear, part: f64) -> Vec<DVector<f64>> {
         let change = part * DVector::from_column_slice(&self.dx);
         let each = linear.rows.iter().zip(&self.along);
-        each.map(|(row, along)| row.change(row.damped(&(along + &row.along * &change), RIDGE)))
-            .collect()
+        each.map(|(row, along)| {
+            row.change(damped(
+                &row.triangle,
+                &(along + &row.along * &change),
+                RIDGE,
+            ))
+        })
+        .collect()
     }
 }
 
@@ -367,11 +373,9 @@ fn add_priors(
     normal: &mut DMatrix<f64>,
     right: &mut DVector<f64>,
 ) {
-    for (i, p) in parameters.iter_free().enumerate() {
-        if p.prior_sigma.is_finite() {
-            normal[(i, i)] += p.prior_sigma.powi(-2);
-            right[i] -= (x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
-        }
+    for (i, (precision, slope)) in parameters.prior_slopes(x).enumerate() {
+        normal[(i, i)] += precision;
+        right[i] -= slope;
         normal[(i, i)] += RIDGE * normal[(i, i)].max(LEAST_INFORMATION);
     }
 }

@@ -70,11 +70,8 @@ impl Search<'_> {
 
     /// Cost that the noise of the sensors does not explain.
     fn unexplained(&self, screen: &Screen) -> f64 {
-        let channels = &self.windows.problem.channels;
         let rows = screen.linear.rows.iter().flat_map(|row| &row.channel);
-        let noise: f64 = rows
-            .map(|&c| 0.5 * (self.noise[c] / channels[c].sigma).powi(2))
-            .sum();
+        let noise: f64 = rows.map(|&c| 0.5 * self.noise_square(c)).sum();
         let cost = screen.normal.cost();
         (cost - noise).max(UNEXPLAINED * cost)
     }
@@ -113,6 +110,9 @@ impl Search<'_> {
             own.improve(watch)?;
         }
         fitted.retain(|f| fall(&f.0) >= least);
+        if fitted.is_empty() {
+            return Ok(false);
+        }
         let price = |f: &Fitted| f.cost + NUMBER * (f.x.len() as f64);
         fitted.sort_by(|a, b| price(&a.0).total_cmp(&price(&b.0)));
         let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;

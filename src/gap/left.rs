@@ -24,7 +24,6 @@ use super::locate::Missing;
 use super::result::{Left, Remaining};
 use super::screen::{Screen, largest_part};
 use super::search::Search;
-use crate::sysid::SysidError;
 
 /// Part of the motors' force below which nothing is reported.
 const SIZE: f64 = 0.02;
@@ -39,26 +38,18 @@ const RIDGES: [f64; 3] = [1e-3, 1e-1, 10.0];
 
 impl Search<'_> {
     /// Of the module; `screen` is of the present model. None where motors do nothing.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn remaining(&self, screen: &Screen) -> Result<Option<f64>, SysidError> {
-        let linear = &screen.linear;
-        let Some(motors) = linear.motors(&self.windows, &self.x)? else {
-            return Ok(None);
-        };
-        let residuals: Vec<DVector<f64>> = linear.rows.iter().map(|r| r.residual.clone()).collect();
-        let mut left = linear.by_channel(&residuals);
-        let channels = &self.windows.problem.channels;
-        for row in &linear.rows {
+    pub(super) fn remaining(&self, screen: &Screen) -> Option<f64> {
+        let rows = &screen.linear.rows;
+        let mut left = (screen.linear).by_channel(rows.iter().map(|row| &row.residual));
+        for row in rows {
             for (&c, weight) in row.channel.iter().zip(&row.weight) {
-                left[c] -= (weight * self.noise[c] / channels[c].sigma).powi(2);
+                left[c] -= weight * weight * self.noise_square(c);
             }
         }
         for square in &mut left {
             *square = square.max(0.0);
         }
-        Ok(largest_part(&left, &linear.by_channel(&motors.parts)))
+        largest_part(&left, screen.motors.as_ref()?)
     }
 }
 

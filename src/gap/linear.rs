@@ -169,11 +169,6 @@ impl Windows {
 }
 
 impl Row {
-    /// ds from Qᵀ r = `b`, see [`least_squares`].
-    pub(super) fn damped(&self, b: &DVector<f64>, damping: f64) -> DVector<f64> {
-        least_squares(&self.triangle, b, damping)
-    }
-
     /// (2 nv) a change `own` (n) of the unknowns as one of the first state.
     pub(super) fn change(&self, own: DVector<f64>) -> DVector<f64> {
         match &self.directions {
@@ -186,7 +181,7 @@ impl Row {
 /// Least squares of R ds + b, each unknown held back in proportion to what is known of it, and a little in proportion to
 /// what is known of the best: what readings do not see, as the tilt of a body whose position is measured, would go as far
 /// as rounding says.
-fn least_squares(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
+pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
     let mut normal = triangle.tr_mul(triangle);
     let n = normal.nrows();
     // positions, then velocities
@@ -292,7 +287,10 @@ impl Linear {
     }
 
     /// Squared length of what happens to each channel, of rows per window.
-    pub(super) fn by_channel(&self, parts: &[DVector<f64>]) -> Vec<f64> {
+    pub(super) fn by_channel<'a>(
+        &self,
+        parts: impl IntoIterator<Item = &'a DVector<f64>>,
+    ) -> Vec<f64> {
         let channels = self.rows.iter().flat_map(|row| &row.channel);
         let n = channels.max().map_or(0, |most| most + 1);
         let mut squares = vec![0.0; n];
@@ -335,7 +333,7 @@ mod tests {
     fn what_readings_hardly_see_stays_where_it_is() {
         // a measured position, and a tilt that rounding alone seems to show
         let triangle = DMatrix::from_row_slice(2, 4, &[1e4, 0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0]);
-        let ds = least_squares(&triangle, &DVector::from_element(2, 1.0), 0.0);
+        let ds = damped(&triangle, &DVector::from_element(2, 1.0), 0.0);
         assert!((ds[0] + 1e-4).abs() < 1e-8, "{ds}");
         assert!(ds[1].abs() < 0.1, "{ds}");
     }

@@ -154,7 +154,7 @@ pub fn resume(
             evidence: tested(&found),
             untestable: untestable(&search, &found),
             n_candidates: super::forward::tests(&found),
-            remaining: search.remaining(&found)?,
+            remaining: search.remaining(&found),
             missing: MissingSeries::new(&missing),
         };
         stages::save(keeper, "screen", &first);
@@ -200,7 +200,7 @@ pub fn resume(
     let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
     let remaining = Remaining {
         before: first.remaining,
-        after: search.remaining(&screen)?,
+        after: search.remaining(&screen),
     };
     let much = left::much(&remaining);
     let rest = left::left(&last, much);

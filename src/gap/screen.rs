@@ -64,6 +64,8 @@ pub(super) struct Screen {
     pub columns: Vec<Column>,
     pub normal: Normal,
     pub linear: Linear,
+    /// squared length of what the motors do to each channel; none without motors
+    pub motors: Option<Vec<f64>>,
 }
 
 /// The point that columns are taken at.
@@ -93,13 +95,14 @@ impl Look<'_> {
         watch: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Option<Screen>, GapError> {
         let linear = self.windows.linearise(self.x)?;
-        let prior = prior(&self.windows.problem.parameters, self.x);
+        let parameters = &self.windows.problem.parameters;
+        let prior: Vec<(f64, f64)> = parameters.prior_slopes(self.x).collect();
         let all: Vec<(&'static dyn Effect, Place)> = effect::candidates(&self.base.model)
             .into_iter()
             .filter(|(e, p)| self.may_act(*e, p))
             .collect();
         let normal = information(&linear, &prior);
-        let absorb = Absorb::new(&normal.0, &self.windows.problem.parameters, self.x);
+        let absorb = Absorb::new(&normal.0, parameters, self.x);
         let at = (&linear, &absorb);
         let mut pulses: BTreeMap<usize, Pulses> = BTreeMap::new();
         let mut columns: Vec<Column> = Vec::new();
@@ -131,7 +134,6 @@ impl Look<'_> {
         }
         let motors = linear.motors(self.windows, self.x)?;
         let motors = motors.map(|m| linear.by_channel(&m.parts));
-        let motors = motors.as_deref();
         let mut best: BTreeMap<usize, Candidate> = BTreeMap::new();
         for (i, variant, own) in found {
             let (effect, place) = &all[i];
@@ -142,7 +144,7 @@ impl Look<'_> {
                 own,
                 (&normal, &linear),
                 &columns,
-                motors,
+                motors.as_deref(),
                 self,
             );
             let held = |c: &Candidate| {
@@ -158,6 +160,7 @@ impl Look<'_> {
             columns,
             normal,
             linear,
+            motors,
         }))
     }
 
@@ -440,20 +443,6 @@ fn information(linear: &Linear, prior: &[(f64, f64)]) -> (DMatrix<f64>, DVector<
         gradient[j] += own;
     }
     (normal, gradient)
-}
-
-/// Precision and gradient of every parameter's prior.
-pub(super) fn prior(parameters: &Parameters, x: &[f64]) -> Vec<(f64, f64)> {
-    let each = parameters.iter_free().zip(x);
-    each.map(|(p, x)| {
-        if p.prior_sigma.is_finite() {
-            let precision = p.prior_sigma.powi(-2);
-            (precision, precision * (x - p.to_x(p.prior)))
-        } else {
-            (0.0, 0.0)
-        }
-    })
-    .collect()
 }
 
 #[cfg(test)]

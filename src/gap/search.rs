@@ -214,8 +214,14 @@ impl<'a> Search<'a> {
 
     /// Sums of products of parameters alone, `linear` being at the present point.
     pub(super) fn normal(&self, linear: &Linear) -> score::Normal {
-        let prior = super::screen::prior(&self.windows.problem.parameters, &self.x);
+        let prior: Vec<(f64, f64)> =
+            (self.windows.problem.parameters.prior_slopes(&self.x)).collect();
         score::Normal::new(&linear.rows, &[], &self.stretch_of, &prior)
+    }
+
+    /// Square that the sensors' noise gives a residual of a channel.
+    pub(super) fn noise_square(&self, channel: usize) -> f64 {
+        (self.noise[channel] / self.windows.problem.channels[channel].sigma).powi(2)
     }
 
     /// (t, degrees of freedom) of every size of an effect in the model, `step` being what the model's own step makes of

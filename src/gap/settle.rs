@@ -11,7 +11,7 @@
 //! with Q, R of [`super::linear`], at the window's own point.
 
 use super::fit::Followed;
-use super::linear::{Linear, Row};
+use super::linear::{Linear, Row, damped};
 use super::windows::Windows;
 
 /// Part of the mean cost of a window that its state may still take off it.
@@ -54,7 +54,7 @@ impl Windows {
             for (k, &w) in left.iter().enumerate() {
                 let row = &linear.rows[k];
                 let along = left_in(row, &here[w]);
-                let own = row.damped(&along, damping[w]);
+                let own = damped(&row.triangle, &along, damping[w]);
                 let rest = &along + &row.triangle * &own;
                 if 0.5 * (along.norm_squared() - rest.norm_squared()) <= enough {
                     continue;

@@ -127,12 +127,9 @@ impl Likelihood<'_> {
             }
         }
         pass.nll += self.problem.parameters.prior_cost(x);
-        for (i, p) in self.problem.parameters.iter_free().enumerate() {
-            if p.prior_sigma.is_finite() {
-                let off = x[i] - p.to_x(p.prior);
-                pass.normal[(i, i)] += p.prior_sigma.powi(-2);
-                pass.right[i] -= off * p.prior_sigma.powi(-2);
-            }
+        for (i, (precision, slope)) in (self.problem.parameters.prior_slopes(x)).enumerate() {
+            pass.normal[(i, i)] += precision;
+            pass.right[i] -= slope;
         }
         Ok(Some(pass))
     }

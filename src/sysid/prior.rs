@@ -10,4 +10,15 @@ impl Parameters {
             .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
             .sum()
     }
+
+    /// Its curvature and slope by each free parameter; 0 without a prior.
+    pub(crate) fn prior_slopes(&self, x: &[f64]) -> impl Iterator<Item = (f64, f64)> {
+        self.iter_free().zip(x).map(|(p, x)| {
+            if !p.prior_sigma.is_finite() {
+                return (0.0, 0.0);
+            }
+            let precision = p.prior_sigma.powi(-2);
+            (precision, precision * (x - p.to_x(p.prior)))
+        })
+    }
 }

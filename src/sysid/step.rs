@@ -168,12 +168,12 @@ impl Solver<'_> {
                 }
             }
         }
-        for (i, p) in self.problem.parameters.iter_free().enumerate() {
+        let parameters = &self.problem.parameters;
+        let priors = parameters.prior_slopes(&self.x);
+        for (i, (p, (precision, slope))) in parameters.iter_free().zip(priors).enumerate() {
             normal[(i, i)] += damping / p.typical.powi(2);
-            if p.prior_sigma.is_finite() {
-                normal[(i, i)] += p.prior_sigma.powi(-2);
-                right[i] -= (self.x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
-            }
+            normal[(i, i)] += precision;
+            right[i] -= slope;
         }
         (normal, right)
     }

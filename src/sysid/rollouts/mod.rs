@@ -281,11 +281,9 @@ fn with_prior(
     x: &[f64],
 ) -> (nalgebra::DMatrix<f64>, nalgebra::DVector<f64>) {
     let (mut curvature, mut slope) = (surface.curvature.clone(), surface.slope.clone());
-    for (i, p) in parameters.iter_free().enumerate() {
-        if p.prior_sigma.is_finite() {
-            curvature[(i, i)] += p.prior_sigma.powi(-2);
-            slope[i] += (x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
-        }
+    for (i, (precision, own)) in parameters.prior_slopes(x).enumerate() {
+        curvature[(i, i)] += precision;
+        slope[i] += own;
     }
     (curvature, slope)
 }

@@ -423,14 +423,13 @@ impl<'a> Descent<'a> {
                 }
             }
         }
-        for (i, p) in self.problem.parameters.iter_free().enumerate() {
-            if p.prior_sigma.is_finite() {
-                normal[(i, i)] += p.prior_sigma.powi(-2);
-                right[i] -= (self.x[i] - p.to_x(p.prior)) * p.prior_sigma.powi(-2);
-            }
+        let parameters = &self.problem.parameters;
+        for (i, (precision, slope)) in parameters.prior_slopes(&self.x).enumerate() {
+            normal[(i, i)] += precision;
+            right[i] -= slope;
             normal[(i, i)] += self.damping * normal[(i, i)].max(LEAST_SENSITIVITY.powi(2));
         }
-        let (low, high): (Vec<f64>, Vec<f64>) = self.problem.parameters.reach(&self.x).unzip();
+        let (low, high): (Vec<f64>, Vec<f64>) = parameters.reach(&self.x).unzip();
         solve_in_box(&normal, &right, &low, &high)
     }
 
