@@ -44,8 +44,12 @@ class Env(gymnasium.Env):
         return observation, 0.0 if broke else reward, broke, self.t >= HORIZON, {}
 
 
+class Spent(Exception):
+    """The CPU time is spent."""
+
+
 class Stop(BaseCallback):
-    """Ends training when the CPU time is spent."""
+    """Ends training when the CPU time is spent: ARS does not look at what its callback returns."""
 
     def __init__(self, budget):
         super().__init__()
@@ -53,7 +57,9 @@ class Stop(BaseCallback):
 
     def _on_step(self):
         self.steps = self.num_timesteps
-        return not self.budget.spent()
+        if self.budget.spent():
+            raise Spent
+        return True
 
 
 def main():
@@ -73,7 +79,10 @@ def main():
         model = ARS("LinearPolicy", envs, seed=a.seed, device="cpu")
     budget = Budget(a.cpu_seconds)
     stop = Stop(budget)
-    model.learn(10**9, callback=stop)
+    try:
+        model.learn(10**9, callback=stop)
+    except Spent:
+        pass
     envs.training = False
 
     def policy(s):

@@ -115,7 +115,10 @@ pub(super) fn score(
     };
     let class = !hidden.is_empty() && all(&meant);
     let exact = class && all(&|h: &At, n: &Named| h.name == n.name && is_place(&h.place, &n.at));
-    let untestable = |h: &At| answer.untestable.iter().any(|u| u.name == h.name);
+    let untestable = |h: &At| {
+        (answer.untestable.iter())
+            .any(|u| u.name == h.name && u.at.iter().any(|at| is_place(&h.place, at)))
+    };
     let right = match arm.expect {
         Expect::Truth if hidden.is_empty() => answer.verdict == Verdict::None,
         Expect::Truth => class,

@@ -5,7 +5,7 @@ use super::result::Gap;
 use super::run::{self, Input, Options};
 use super::search::ITERATIONS;
 use super::verify;
-use super::{GapError, Report, Stage, Watch};
+use super::{GapError, Report, Stage, Watch, repair};
 
 /// The gap with `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen.
 ///
@@ -24,7 +24,7 @@ pub fn with_effects(
         stopped: false,
     };
     let (_, mut search) = run::begin(input, options, &mut super::stages::Nowhere, &mut watch)?;
-    let before = run::machine(&search)?;
+    let before = repair::machine(&search.windows.problem, &search.x)?;
     let screen = search.screen(&mut watch)?.ok_or(GapError::Stopped)?;
     let mut chosen = Vec::new();
     for (name, place) in effects {
@@ -45,7 +45,7 @@ pub fn with_effects(
     };
     search.take(fitted);
     search.settle(&mut watch)?;
-    let after = run::machine(&search)?;
+    let after = repair::machine(&search.windows.problem, &search.x)?;
     let sigma = |_: &str| None;
     let (holdout, seed) = (input.holdout, options.seed);
     let protocol = verify::protocol(input.protocol, search.windows.length_s);

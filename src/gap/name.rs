@@ -10,7 +10,7 @@
 //! in units of the noise that the recordings show ([`super::score`]).
 
 use super::effect::{Role, Sign, named};
-use super::result::{Named, Value, Where};
+use super::result::{Experiment, Named, Untestable, Value, Where};
 use super::score::Normal;
 use super::screen::{Candidate, Screen};
 use super::search::Search;
@@ -143,7 +143,7 @@ fn separation(
 }
 
 /// What would tell the members of a class apart, as the catalogue has it.
-pub(super) fn splits(class: &[String]) -> Vec<(String, String, String)> {
+fn splits(class: &[String]) -> Vec<(String, String, String)> {
     let mut out = Vec::new();
     for (i, a) in class.iter().enumerate() {
         for b in &class[i + 1..] {
@@ -171,5 +171,39 @@ pub(super) fn behaviours(name: &str) -> Vec<String> {
             .iter()
             .map(|b| (*b).to_owned())
             .collect()
+    })
+}
+
+/// What splits the first class; else what shows most of what could not be tested.
+pub(super) fn next_experiment(effects: &[Named], untestable: &[Untestable]) -> Option<Experiment> {
+    for e in effects.iter().filter(|e| e.class.len() > 1) {
+        if let Some((a, b, motion)) = splits(&e.class).into_iter().next() {
+            let mut shown = behaviours(&a);
+            shown.extend(behaviours(&b));
+            shown.dedup();
+            return Some(Experiment {
+                effects: vec![a, b],
+                motion,
+                behaviours: shown,
+            });
+        }
+    }
+    let hidden: Vec<&Untestable> = untestable
+        .iter()
+        .filter(|u| u.reason.starts_with("nothing"))
+        .collect();
+    let mut counts: Vec<(String, usize)> = Vec::new();
+    for b in hidden.iter().flat_map(|u| &u.behaviours) {
+        match counts.iter_mut().find(|c| c.0 == *b) {
+            Some(c) => c.1 += 1,
+            None => counts.push((b.clone(), 1)),
+        }
+    }
+    let (behaviour, _) = counts.into_iter().rev().max_by_key(|c| c.1)?;
+    let shown = hidden.iter().filter(|u| u.behaviours.contains(&behaviour));
+    Some(Experiment {
+        effects: shown.map(|u| u.name.clone()).collect(),
+        motion: format!("behaviour `{behaviour}`, in which these effects would show"),
+        behaviours: vec![behaviour],
     })
 }

@@ -4,21 +4,18 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::effect::{self, ModelFile};
+use super::effect::ModelFile;
 use super::inputs::{check_effects, excited, judged, same_channels};
 use super::locate::Missing;
-use super::result::{Answer, Experiment, Remaining, Tested, Untestable, Verdict};
-use super::screen::{LEAST_VISIBLE, Screen};
+use super::result::{Answer, Remaining, Tested, Verdict};
+use super::screen::Screen;
 use super::search::{Limits, Search};
 use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
-use super::verify::{self, Machine};
+use super::verify;
 use super::windows::{self, Windows};
-use super::{GapError, Report, Stage, Watch, left, name, round_trip};
+use super::{GapError, Report, Stage, Watch, left, name, repair, round_trip, toss, untestable};
 use crate::compare::Settings;
-use crate::mjcf::file::rewrite;
 use crate::recording::Recording;
-use crate::sysid::ensemble;
-use crate::sysid::holdout::hold;
 use crate::sysid::parameter::ParameterRule;
 use crate::sysid::problem::{Problem, ProblemConfig};
 
@@ -137,9 +134,12 @@ pub fn resume(
         note: String::new(),
         stopped: false,
     };
+    if input.protocol.drop.is_some() {
+        return toss::resume(input, options, keeper, &mut watch);
+    }
     let (whole, mut search) = begin(input, options, keeper, &mut watch)?;
     search.held_out = held_out(input, search.windows.length_s, options.most_windows)?;
-    let before = machine(&search)?;
+    let before = repair::machine(&search.windows.problem, &search.x)?;
     let screened = |screen: Option<Screen>| screen.ok_or(GapError::Stopped);
     let mut screen: Option<Screen> = None;
     let known: Option<Screened> = stages::load(keeper, "screen");
@@ -152,7 +152,6 @@ pub fn resume(
         let first = Screened {
             located: missing.located(),
             evidence: tested(&found),
-            untestable: untestable(&search, &found),
             n_candidates: super::forward::tests(&found),
             remaining: search.remaining(&found),
             missing: MissingSeries::new(&missing),
@@ -202,6 +201,7 @@ pub fn resume(
         before: first.remaining,
         after: search.remaining(&screen),
     };
+    let untestable = untestable::untestable(&search, &screen);
     let much = left::much(&remaining);
     let rest = left::left(&last, much);
     watch.stage(Stage::Verify);
@@ -211,7 +211,7 @@ pub fn resume(
         round_trip::round_trip(&search, options.seed, &mut watch)?
     };
     watch.stage(Stage::Verify);
-    let after = machine(&search)?;
+    let after = repair::machine(&search.windows.problem, &search.x)?;
     let sigma = |channel: &str| {
         whole
             .channels
@@ -228,23 +228,18 @@ pub fn resume(
         options.seed,
     )?;
     let verdict = verdict(&effects, !rest.is_empty(), much);
-    let next_experiment = next(&effects, &first.untestable);
-    let model = repaired(&search, input.model)?;
-    let rules = (search.built.estimated.iter())
-        .map(|(_, e)| ParameterRule {
-            start: None,
-            ..e.rule.clone()
-        })
-        .collect();
+    let next_experiment = name::next_experiment(&effects, &untestable);
+    let (built, problem) = (&search.built, &search.windows.problem);
+    let model = repair::repaired((input.model, built), problem, &search.x, &search.chosen)?;
     Ok(Outcome {
-        rules,
+        rules: repair::rules(built),
         extended: search.built.file.xml.clone(),
         answer: Answer {
             verdict,
             effects,
             located: first.located,
             gap,
-            untestable: first.untestable,
+            untestable,
             next_experiment,
             model: "model.xml".into(),
             evidence: first.evidence,
@@ -314,49 +309,6 @@ fn held_out(input: &Input<'_>, length_s: f64, most: usize) -> Result<Option<Wind
     Ok(Some(Windows::cut(&problem, &start, length_s, most)?))
 }
 
-/// The present model with its numbers.
-pub(super) fn machine(search: &Search<'_>) -> Result<Machine, GapError> {
-    let problem = &search.windows.problem;
-    let model = ensemble::model_at(&problem.model, &problem.parameters, &search.x)?;
-    let values = problem.parameters.values(&search.x);
-    let all = &problem.parameters.all;
-    let held = hold(problem, |p| {
-        all.iter()
-            .position(|o| o.name == p.name)
-            .map_or(p.start, |i| values[i])
-    });
-    Ok(Machine {
-        model: Arc::new(model),
-        parameters: held.parameters,
-    })
-}
-
-/// The file of the base model with the effects and all fitted numbers.
-fn repaired(search: &Search<'_>, base: &ModelFile) -> Result<String, GapError> {
-    let problem = &search.windows.problem;
-    let model = ensemble::model_at(&problem.model, &problem.parameters, &search.x)?;
-    let effects: Vec<String> = (search.chosen.iter())
-        .map(|c| format!("{} at {}", c.effect.about().name, c.place))
-        .collect();
-    let header = format!(
-        "{} with what phantom gap {} found missing: {}.",
-        base.path.file_name().unwrap_or_default().to_string_lossy(),
-        env!("CARGO_PKG_VERSION"),
-        if effects.is_empty() {
-            "nothing".to_owned()
-        } else {
-            effects.join(", ")
-        },
-    );
-    let text = rewrite(
-        &search.built.file.xml,
-        &model,
-        &problem.parameters.targets(),
-        &header,
-    );
-    Ok(text.map_err(effect::EffectError::from)?)
-}
-
 /// `structure` is left, or `much` of anything.
 fn verdict(effects: &[super::result::Named], structure: bool, much: bool) -> Verdict {
     match effects {
@@ -395,77 +347,4 @@ fn tested(screen: &Screen) -> Vec<Tested> {
         .collect();
     out.sort_by(|a, b| b.0.total_cmp(&a.0));
     out.into_iter().map(|(_, t)| t).collect()
-}
-
-/// Effects without a visible place.
-fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable> {
-    let mut out: Vec<Untestable> = Vec::new();
-    for (effect, place) in effect::candidates(&search.base.model) {
-        let about = effect.about();
-        let found = (screen.candidates.iter())
-            .find(|c| c.effect.about().name == about.name && c.place == place);
-        let companion = about
-            .parameters
-            .iter()
-            .any(|p| p.role == effect::Role::Companion);
-        let reason = match found {
-            _ if search.has(about.name, &place) => continue,
-            None if companion => continue, // looked at once there is dry friction
-            None => "nothing that was recorded depends on it",
-            Some(c) => match &c.score {
-                None => "the fitted parameters explain all of it",
-                Some(s) if s.visible < LEAST_VISIBLE => {
-                    "the fitted parameters explain nearly all of it"
-                }
-                Some(_) => continue,
-            },
-        };
-        match out
-            .iter_mut()
-            .find(|u| u.name == about.name && u.reason == reason)
-        {
-            Some(u) => u.at.push(place.to_string()),
-            None => out.push(Untestable {
-                name: about.name.to_owned(),
-                at: vec![place.to_string()],
-                reason: reason.to_owned(),
-                behaviours: name::behaviours(about.name),
-            }),
-        }
-    }
-    out
-}
-
-/// What splits the first class; else what shows most of what could not be tested.
-fn next(effects: &[super::result::Named], untestable: &[Untestable]) -> Option<Experiment> {
-    for e in effects.iter().filter(|e| e.class.len() > 1) {
-        if let Some((a, b, motion)) = name::splits(&e.class).into_iter().next() {
-            let mut behaviours = name::behaviours(&a);
-            behaviours.extend(name::behaviours(&b));
-            behaviours.dedup();
-            return Some(Experiment {
-                effects: vec![a, b],
-                motion,
-                behaviours,
-            });
-        }
-    }
-    let hidden: Vec<&Untestable> = untestable
-        .iter()
-        .filter(|u| u.reason.starts_with("nothing"))
-        .collect();
-    let mut counts: Vec<(String, usize)> = Vec::new();
-    for b in hidden.iter().flat_map(|u| &u.behaviours) {
-        match counts.iter_mut().find(|c| c.0 == *b) {
-            Some(c) => c.1 += 1,
-            None => counts.push((b.clone(), 1)),
-        }
-    }
-    let (behaviour, _) = counts.into_iter().rev().max_by_key(|c| c.1)?;
-    let shown = hidden.iter().filter(|u| u.behaviours.contains(&behaviour));
-    Some(Experiment {
-        effects: shown.map(|u| u.name.clone()).collect(),
-        motion: format!("behaviour `{behaviour}`, in which these effects would show"),
-        behaviours: vec![behaviour],
-    })
 }

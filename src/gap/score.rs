@@ -70,6 +70,9 @@ pub(super) struct Score {
     pub p_value: f64,
     /// part of the columns that nothing else can absorb
     pub visible: f64,
+    /// standard error of each expected value, and the degrees of freedom behind it
+    pub sigma: Vec<f64>,
+    pub dof: f64,
 }
 
 /// Which stretch each window belongs to: windows in order of recordings, `recording` of each.
@@ -282,6 +285,12 @@ impl Normal {
             held_gain: sum + self.prior_gain(&all_step),
             held_sigma: (spread * count as f64 / (count as f64 - 1.0).max(1.0)).sqrt(),
             p_value,
+            sigma: pooled
+                .diagonal()
+                .iter()
+                .map(|v| v.max(0.0).sqrt())
+                .collect(),
+            dof: dof + COMMON_DOF,
             visible: own.trace() / at.iter().map(|j| self.all().normal[(*j, *j)]).sum::<f64>(),
         })
     }

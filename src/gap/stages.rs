@@ -16,7 +16,7 @@ use sha2::{Digest, Sha256};
 use super::GapError;
 use super::effect::{Place, named};
 use super::model::{Built, Chosen};
-use super::result::{Located, Tested, Untestable};
+use super::result::{Located, Tested};
 use super::run::{Input, MissingSeries, Options};
 use super::search::{Evidence, Search};
 use super::windows::Windows;
@@ -64,7 +64,6 @@ pub fn key(input: &Input<'_>, options: &Options) -> String {
 pub(super) struct Screened {
     pub located: Vec<Located>,
     pub evidence: Vec<Tested>,
-    pub untestable: Vec<Untestable>,
     pub n_candidates: usize,
     pub remaining: Option<f64>,
     pub missing: MissingSeries,

@@ -87,6 +87,11 @@ pub(super) fn verify(
     };
     forces(&mut gap, &b, &a);
     rollouts(&mut gap, &b, &a);
+    if gap.holdout.is_none() {
+        gap.holdout = settings
+            .length_m
+            .and_then(|length| distance(&b, &a, length));
+    }
     if let Some(holdout) = &mut gap.holdout {
         holdout.noise_floor = floor(after, recordings, settings, sigma, seed, &a);
     }
@@ -209,6 +214,26 @@ fn rollouts(gap: &mut Gap, b: &Comparison, a: &Comparison) {
             unit,
         })
         .collect();
+}
+
+/// How far free bodies are off over the longest horizon, the mean over rollouts, in percent of a length.
+fn distance(b: &Comparison, a: &Comparison, length_m: f64) -> Option<Holdout> {
+    let mean = |c: &Comparison| {
+        let end = |g: &compare::rollouts::Growth| g.horizon_s.unwrap_or(f64::INFINITY);
+        let all = || (c.rollouts.growth.iter()).filter(|g| g.channel.ends_with(" distance"));
+        let longest = all().map(end).fold(0.0, f64::max);
+        let (sum, n) = all()
+            .filter(|g| end(g) == longest)
+            .fold((0.0, 0.0), |(sum, n), g| (sum + g.mean, n + 1.0));
+        (n > 0.0).then(|| 100.0 * sum / (n * length_m))
+    };
+    Some(Holdout {
+        quantity: format!("distance in rollouts, of {length_m} m"),
+        before: mean(b)?,
+        after: mean(a)?,
+        noise_floor: None,
+        unit: "%".into(),
+    })
 }
 
 /// What noise of the positions alone makes of the forces, in percent; none where nothing is known of it.

@@ -243,6 +243,9 @@ impl Spread {
 
 /// Inverse of a positive definite matrix.
 fn inverse(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    if matrix.is_empty() {
+        return matrix.clone(); // which has no eigenvalues to ask for
+    }
     let eigen = SymmetricEigen::new(matrix.clone());
     let inverse = eigen.eigenvalues.map(|v| 1.0 / v.max(LEAST_INFORMATION));
     &eigen.eigenvectors * DMatrix::from_diagonal(&inverse) * eigen.eigenvectors.transpose()

@@ -37,7 +37,7 @@ use super::parameter::Parameters;
 use super::problem::Problem;
 use crate::compare::Settings;
 use crate::rng::{self, Purpose};
-use objective::{Objective, Rollouts};
+pub(crate) use objective::{Objective, Rollouts};
 use surface::{Surface, needed};
 
 /// Settings of the method.
@@ -47,6 +47,10 @@ pub struct RolloutSettings {
     pub protocol: Settings,
     /// most generations of the search
     pub generations: usize,
+    /// width of the first generation, as a part of the usual
+    pub spread: f64,
+    /// whether to go on to the minimum of a surface, which intervals follow from
+    pub intervals: bool,
     /// candidates a generation; none: by the number of parameters
     pub population: Option<usize>,
     /// fall of −log p over many generations below which it has converged
@@ -59,6 +63,8 @@ impl Default for RolloutSettings {
     fn default() -> Self {
         Self {
             protocol: Settings::default(),
+            spread: 1.0,
+            intervals: true,
             generations: 60,
             population: None,
             tolerance: 0.1,
@@ -117,7 +123,10 @@ pub fn solve(
             let rollouts = objective.roll_out(x).ok().flatten()?;
             Some(rollouts.cost() + parameters.prior_cost(x))
         };
-        let ranges = evolution::ranges(parameters, &start.x);
+        let mut ranges = evolution::ranges(parameters, &start.x);
+        for range in &mut ranges {
+            range.2 *= settings.spread;
+        }
         let evolution = Evolution {
             generations: settings.generations,
             population: settings.population,
@@ -138,7 +147,7 @@ pub fn solve(
             })?;
         (fit.x, fit.cost) = least(&all);
         fit.status = status;
-        if status != Status::Interrupted {
+        if settings.intervals && status != Status::Interrupted {
             settle(&objective, settings.seed, &ranges, &all, &mut fit)?;
         }
         fit.negative_log_evidence = fit.cost;

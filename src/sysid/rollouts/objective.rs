@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use crate::compare::rollouts::{Rolled, roll_out};
 use crate::compare::start::{Start, starts};
 use crate::compare::{CompareError, Settings, States};
@@ -14,7 +16,7 @@ use crate::sysid::parameter::Role;
 use crate::sysid::problem::Problem;
 
 /// Rollouts of all trials of a problem.
-pub(super) struct Objective<'a> {
+pub(crate) struct Objective<'a> {
     pub problem: &'a Problem,
     pub protocol: &'a Settings,
     /// whether readings change with parameters
@@ -32,7 +34,7 @@ struct Term {
 
 /// Rollouts of all trials at some parameters.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Rollouts {
+pub(crate) struct Rollouts {
     /// trial, and time of its start since the first knot, s
     pub starts: Vec<(usize, f64)>,
     terms: Vec<Term>,
@@ -40,12 +42,15 @@ pub(super) struct Rollouts {
     deviations: Vec<Vec<Option<f64>>>,
 }
 
+/// Times of the starts of a trial since its first knot, s, and its rollouts.
+type Trial = (Vec<f64>, Vec<Rolled>);
+
 /// Least mean deviation, m or rad: a logarithm needs one.
 const LEAST: f64 = 1e-12;
 
 impl Rollouts {
     /// (terms) mean over the starts.
-    pub(super) fn scales(&self) -> Vec<f64> {
+    pub(crate) fn scales(&self) -> Vec<f64> {
         (0..self.terms.len())
             .map(|t| {
                 let all = self.deviations.iter().filter_map(|d| d[t]);
@@ -56,7 +61,7 @@ impl Rollouts {
     }
 
     /// −log p of all starts, with the scales of greatest likelihood.
-    pub(super) fn cost(&self) -> f64 {
+    pub(crate) fn cost(&self) -> f64 {
         let scales = self.scales();
         (self
             .deviations
@@ -68,8 +73,48 @@ impl Rollouts {
         .sum()
     }
 
+    /// Sum of the weights of all deviations: a cost over it is the mean logarithm of a deviation.
+    pub(crate) fn weight(&self) -> f64 {
+        let all = self.deviations.iter().flatten();
+        (all.zip(self.terms.iter().cycle()))
+            .filter(|(d, _)| d.is_some())
+            .map(|(_, term)| term.weight)
+            .sum()
+    }
+
+    /// (starts) how much smaller the deviations of `other` are, (d − d′)/(d + d′) from −1 to 1, by weight; none where it
+    /// has other starts.
+    pub(crate) fn falls(&self, other: &Self) -> Option<Vec<f64>> {
+        if self.starts != other.starts || self.terms != other.terms {
+            return None;
+        }
+        let of = |(a, b): (&Vec<Option<f64>>, &Vec<Option<f64>>)| {
+            (a.iter().zip(b).zip(&self.terms))
+                .filter_map(|((a, b), term)| {
+                    let (a, b) = ((*a)?, (*b)?);
+                    Some(term.weight * (a - b) / (a + b).max(LEAST))
+                })
+                .sum()
+        };
+        Some(
+            self.deviations
+                .iter()
+                .zip(&other.deviations)
+                .map(of)
+                .collect(),
+        )
+    }
+
+    /// Deviations of each channel up to each horizon (index): one a start.
+    pub(crate) fn kinds(&self) -> impl Iterator<Item = (&str, usize, Vec<f64>)> {
+        self.terms.iter().enumerate().map(|(t, term)| {
+            let all = self.deviations.iter().filter_map(|d| d[t]).collect();
+            (term.channel.as_str(), term.horizon, all)
+        })
+    }
+
     /// (starts) deviations in units of `scales`: −log p of each start with scales that are given.
-    pub(super) fn costs(&self, scales: &[f64]) -> Vec<f64> {
+    pub(crate) fn costs(&self, scales: &[f64]) -> Vec<f64> {
         let of = |start: &Vec<Option<f64>>| {
             (start.iter().zip(self.terms.iter().zip(scales)))
                 .filter_map(|(d, (term, scale))| Some(term.weight * (*d)? / scale))
@@ -80,7 +125,7 @@ impl Rollouts {
 }
 
 impl<'a> Objective<'a> {
-    pub(super) fn new(problem: &'a Problem, protocol: &'a Settings) -> Self {
+    pub(crate) fn new(problem: &'a Problem, protocol: &'a Settings) -> Self {
         let instruments =
             (problem.parameters.all.iter()).any(|p| matches!(p.role, Role::Instrument(..)));
         Self {
@@ -137,7 +182,7 @@ impl<'a> Objective<'a> {
     }
 
     /// All rollouts at `x`; `None` where one breaks down.
-    pub(super) fn roll_out(&self, x: &[f64]) -> Result<Option<Rollouts>, SysidError> {
+    pub(crate) fn roll_out(&self, x: &[f64]) -> Result<Option<Rollouts>, SysidError> {
         let model = self.model(x)?;
         let mut out = Rollouts {
             starts: Vec::new(),
@@ -145,21 +190,29 @@ impl<'a> Objective<'a> {
             deviations: Vec::new(),
         };
         let horizons = self.protocol.horizons_s.len() + usize::from(self.protocol.to_end);
-        for trial in 0..self.problem.trials.len() {
+        let of = |trial: usize| -> Result<Option<Trial>, SysidError> {
             let Some((states, starts)) = self.begin(trial, &model, x)? else {
-                continue;
+                return Ok(None);
             };
             let rolled = roll_out(&model, &states, &starts, self.protocol, &|data, time| {
                 states.controls_at(time, data.ctrl_mut());
             })
             .map_err(refused)?;
+            let first_s = self.problem.trials[trial].start_s;
+            let since = |start: &Start| (states.time_s[start.sample] - first_s).max(0.0);
+            Ok(Some((starts.iter().map(since).collect(), rolled)))
+        };
+        let trials = 0..self.problem.trials.len();
+        let all: Vec<_> = trials.into_par_iter().map(of).collect();
+        for (trial, one) in all.into_iter().enumerate() {
+            let Some((times, rolled)) = one? else {
+                continue;
+            };
             if rolled.iter().any(Rolled::diverged) {
                 return Ok(None);
             }
-            let first_s = self.problem.trials[trial].start_s;
-            for (start, rolled) in starts.iter().zip(&rolled) {
-                out.starts
-                    .push((trial, (states.time_s[start.sample] - first_s).max(0.0)));
+            for (time, rolled) in times.iter().zip(&rolled) {
+                out.starts.push((trial, *time));
                 out.add(rolled, horizons);
             }
         }

@@ -1,0 +1,168 @@
+//! What to call what was found: every effect against its neighbours of the catalogue.
+//!
+//! Each neighbour takes the place of an effect, in its own best size, everything else as it is. With t of the fall of
+//! deviations from the neighbour to the effect, trial by trial, it belongs to the class if t² < 9, and
+//!
+//! ```text
+//! P = (1 − p) / (1 + Σⱼ e^(−tⱼ²/2))
+//! ```
+
+use super::forward::{Candidate, Kept, candidates, screen, zoom};
+use super::judge::{Judge, Polished, difference};
+use super::rest::Size;
+use crate::gap::effect::{Effect, Form, Role, Scales, Sign, named};
+use crate::gap::model::Chosen;
+use crate::gap::result::{Named, Value, Where};
+use crate::gap::{GapError, Stage, Watch};
+use crate::sysid::interval::Posterior;
+
+/// Squared t below which two effects are one class.
+const APART: f64 = 9.0;
+
+/// Names of all effects of the model.
+pub(super) fn name(
+    judge: &Judge<'_>,
+    polished: &Polished,
+    kept: &[Kept],
+    watch: &mut Watch<'_>,
+) -> Result<Vec<Named>, GapError> {
+    let chosen = &polished.seen.point.chosen;
+    let intervals = intervals(polished);
+    let mut out = Vec::new();
+    for (i, (own, kept)) in chosen.iter().zip(kept).enumerate() {
+        let about = own.effect.about();
+        about.name.clone_into(&mut watch.note);
+        let alike = alike(judge, polished, i, watch)?;
+        let mut class = vec![about.name.to_owned()];
+        for other in &alike {
+            if !class.contains(&other.name) {
+                class.push(other.name.clone());
+            }
+        }
+        let rest: f64 = alike.iter().map(|a| f64::exp(-0.5 * a.separation)).sum();
+        out.push(Named {
+            name: about.name.to_owned(),
+            at: own.place.to_string(),
+            class,
+            probability: (1.0 - kept.p_value).max(0.0) / (1.0 + rest),
+            p_value: kept.p_value,
+            parameters: values(judge, own, &intervals[i]),
+            expressed_as: match polished.built.forms[i] {
+                Form::Mjcf => "mjcf",
+                Form::Supplement => "supplement",
+            },
+            law: about.law.to_owned(),
+            gain: kept.gain,
+            size: None,
+            alike,
+        });
+    }
+    watch.note.clear();
+    Ok(out)
+}
+
+/// The name of a size that is off.
+pub(super) fn size(judge: &Judge<'_>, size: &Size) -> Option<Named> {
+    let chosen = size.chosen()?;
+    let about = chosen.effect.about();
+    Some(Named {
+        name: about.name.to_owned(),
+        at: size.place.to_string(),
+        class: vec![about.name.to_owned()],
+        probability: 1.0 - size.p_value,
+        p_value: size.p_value,
+        parameters: values(judge, &chosen, &[(0, size.ci95)]),
+        expressed_as: "mjcf",
+        law: about.law.to_owned(),
+        gain: 0.0,
+        size: None,
+        alike: Vec::new(),
+    })
+}
+
+fn values(judge: &Judge<'_>, chosen: &Chosen, intervals: &[(usize, [f64; 2])]) -> Vec<Value> {
+    let scales = Scales::of(&judge.base.model, &chosen.place);
+    let parameters = chosen.effect.about().parameters.iter().enumerate();
+    parameters
+        .filter(|(_, p)| p.role != Role::Companion)
+        .map(|(i, p)| Value {
+            name: p.name.to_owned(),
+            value: chosen.values[i],
+            ci95: intervals
+                .iter()
+                .find(|own| own.0 == i)
+                .map(|own| match p.sign {
+                    Sign::Positive => own.1.map(|end| end.max(0.0)),
+                    Sign::Either => own.1,
+                }),
+            unit: p.unit(&scales).to_owned(),
+        })
+        .collect()
+}
+
+/// 95 % intervals of the parameters of every effect, by their index, as far as they are estimated.
+pub(super) fn intervals(polished: &Polished) -> Vec<Vec<(usize, [f64; 2])>> {
+    let Polished {
+        problem,
+        fit,
+        built,
+        seen,
+    } = polished;
+    let lengths: Vec<usize> = problem.trials.iter().map(|t| t.n_knots).collect();
+    let posterior = Posterior::new(&problem.parameters, &fit.x, &fit.innovations, &lengths);
+    let mut out = vec![Vec::new(); seen.point.chosen.len()];
+    let first = posterior.estimates.len() - built.estimated.len();
+    for ((effect, e), estimate) in built.estimated.iter().zip(&posterior.estimates[first..]) {
+        if let Some(ends) = estimate.interval {
+            let [a, b] = ends.map(|end| e.value_of(end));
+            out[*effect].push((e.parameter, [a.min(b), a.max(b)]));
+        }
+    }
+    out
+}
+
+/// Neighbours that could stand in the place of effect `i`.
+fn alike(
+    judge: &Judge<'_>,
+    polished: &Polished,
+    i: usize,
+    watch: &mut Watch<'_>,
+) -> Result<Vec<Where>, GapError> {
+    let own = &polished.seen.point.chosen[i];
+    let mut point = polished.seen.point.clone();
+    point.chosen.remove(i);
+    let Some(without) = judge.see(point)? else {
+        return Ok(Vec::new());
+    };
+    let others: Vec<Candidate> = candidates(judge, &polished.seen.point.chosen, &[])
+        .into_iter()
+        .filter(|c| are_neighbours(c.effect, own.effect))
+        .collect();
+    let tried = screen(judge, &without, &others, watch)?;
+    watch.stage(Stage::Name);
+    let mut out = Vec::new();
+    for tried in tried.into_iter().filter(|t| t.shows) {
+        let tried = zoom(judge, tried, watch)?;
+        let fall = difference(&tried.seen.rollouts, &polished.seen.rollouts);
+        let separation = fall.map_or(0.0, |f| f.t.max(0.0).powi(2));
+        if separation < APART {
+            out.push(Where {
+                name: tried.candidate.effect.about().name.to_owned(),
+                at: tried.candidate.place.to_string(),
+                separation,
+            });
+        }
+    }
+    Ok(out)
+}
+
+fn are_neighbours(a: &dyn Effect, b: &dyn Effect) -> bool {
+    let knows = |a: &dyn Effect, b: &dyn Effect| {
+        let name = b.about().name;
+        a.about()
+            .neighbours
+            .iter()
+            .any(|n| n.name == name && named(n.name).is_some())
+    };
+    knows(a, b) || knows(b, a)
+}

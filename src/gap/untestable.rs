@@ -1,0 +1,73 @@
+//! What these recordings cannot speak of.
+//!
+//! An effect is testable at a place if one of the usual size (the geometric mean of its range) would stand out there: from
+//! what is left, as surely as a finding must, and above the least size of one, both as the last screen has them. What
+//! fitted parameters absorb, or no recording excites, does not.
+
+use super::effect::{self, Role};
+use super::forward::tests;
+use super::name;
+use super::result::Untestable;
+use super::score::two_sided;
+use super::screen::{Candidate, LEAST_VISIBLE, Screen};
+use super::search::Search;
+
+/// Effects with the places where they are not testable; `screen` is of the model that the search ended with.
+pub(super) fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable> {
+    let mut out: Vec<Untestable> = Vec::new();
+    let n_tests = tests(screen);
+    for (effect, place) in effect::candidates(&search.base.model) {
+        let about = effect.about();
+        let found = (screen.candidates.iter())
+            .find(|c| c.effect.about().name == about.name && c.place == place);
+        let companion = about.parameters.iter().any(|p| p.role == Role::Companion);
+        let reason = match found {
+            _ if search.has(about.name, &place) => continue,
+            None if companion => continue, // looked at once there is dry friction
+            None => "nothing that was recorded depends on it",
+            Some(c) => match &c.score {
+                None => "the fitted parameters explain all of it",
+                Some(s) if s.visible < LEAST_VISIBLE => {
+                    "the fitted parameters explain nearly all of it"
+                }
+                Some(_) if is_lost(search, c, n_tests) => {
+                    "one of the usual size would not stand out"
+                }
+                Some(_) => continue,
+            },
+        };
+        match (out.iter_mut()).find(|u| u.name == about.name && u.reason == reason) {
+            Some(u) => u.at.push(place.to_string()),
+            None => out.push(Untestable {
+                name: about.name.to_owned(),
+                at: vec![place.to_string()],
+                reason: reason.to_owned(),
+                behaviours: name::behaviours(about.name),
+            }),
+        }
+    }
+    out
+}
+
+/// Whether an effect of the usual size would be overlooked, whichever of its parameters it shows in.
+fn is_lost(search: &Search<'_>, candidate: &Candidate, n_tests: usize) -> bool {
+    let Some(score) = &candidate.score else {
+        return true;
+    };
+    let scales = (search.measured).scales(&search.built.file.model, &candidate.place);
+    let parameters = candidate.effect.about().parameters;
+    let strength: f64 = score.expected.iter().map(|e| e * e).sum::<f64>().sqrt();
+    let numbers = candidate.parameters.iter().zip(&score.sigma);
+    numbers.into_iter().all(|(&i, sigma)| {
+        let usual = match parameters[i].role {
+            Role::Threshold(_) | Role::Switch => 1.0,
+            _ => parameters[i].typical(&scales),
+        };
+        let p = two_sided(usual / sigma, score.dof) * n_tests as f64;
+        // a response grows with the effect
+        let small = (candidate.size).is_some_and(|size| {
+            score.expected.len() == 1 && size * usual < search.limits.size * strength
+        });
+        p > search.limits.family_p || small
+    })
+}

@@ -1,0 +1,129 @@
+//! What a model of a tumbling body lacks: hidden in simulated tosses, and found by whole rollouts.
+
+use std::sync::Arc;
+
+use phantom::compare::Settings;
+use phantom::compare::settings::Drop;
+use phantom::gap::effect::ModelFile;
+use phantom::gap::result::Verdict;
+use phantom::gap::{self, GapError, Input, Options};
+use phantom::mujoco::{Data, Model};
+use phantom::recording::{Channel, Kind, Recording, Stream};
+use phantom::rng::{self, Purpose};
+use phantom::sysid::problem::ProblemConfig;
+
+/// Friction of the table, cone and half an edge of the cube.
+fn xml(friction: f64, cone: &str, half: f64) -> String {
+    format!(
+        r#"<mujoco model="cube"><option timestep="0.002" cone="{cone}"/><worldbody>
+  <geom name="table" type="plane" size="1 1 .1" friction="{friction} .005 .0001"/>
+  <body name="cube" pos="0 0 .05"><freejoint name="cube"/><inertial pos="0 0 0" mass=".4" diaginertia="7e-4 7e-4 7e-4"/>
+    <geom name="cube" type="box" size="{half} {half} {half}" friction="{friction} .005 .0001"/></body></worldbody></mujoco>"#
+    )
+}
+
+/// Tosses until the cube lies still, with a tenth of a millimetre of noise.
+fn tosses(hidden: &str, numbers: std::ops::Range<u64>) -> Vec<(String, Recording)> {
+    let model = Arc::new(Model::from_xml_str(hidden).expect("loads"));
+    let names = |kind: &str, n: usize| -> Vec<String> {
+        (0..n).map(|i| format!("{kind}[cube][{i}]")).collect()
+    };
+    numbers
+        .map(|toss| {
+            let mut rng = rng::stream(1, Purpose::Start, 0, toss);
+            let mut data = Data::new(model.clone()).expect("data");
+            data.qpos_mut()[2] = 0.25;
+            for (i, v) in data.qvel_mut().iter_mut().enumerate() {
+                *v = if i < 3 { 0.8 } else { 8.0 } * rng::normal(&mut rng);
+            }
+            let channels = (names("qpos", 7).into_iter().chain(names("qvel", 6)))
+                .map(|name| Channel {
+                    name,
+                    kind: Kind::Sensor,
+                    unit: String::new(),
+                    noise_sigma: None,
+                })
+                .collect();
+            let mut stream = Stream::new("cube", None, channels);
+            for k in 0..650 {
+                if k % 4 == 0 {
+                    let state = data.qpos().iter().chain(data.qvel());
+                    let row: Vec<f64> = state.map(|s| s + 1e-4 * rng::normal(&mut rng)).collect();
+                    stream.push(2_000_000 * k, &row);
+                }
+                data.step().expect("step");
+            }
+            let mut recording = Recording {
+                streams: vec![stream],
+                ..Recording::default()
+            };
+            recording.meta.trial = toss.to_string();
+            (format!("toss {toss}"), recording)
+        })
+        .collect()
+}
+
+fn search(hidden: &str, effects: &[&str]) -> Result<gap::Outcome, GapError> {
+    let model = ModelFile::of_text(xml(0.7, "pyramidal", 0.05), "cube.xml").expect("loads");
+    let protocol = Settings {
+        forces: false,
+        horizons_s: vec![],
+        to_end: true,
+        length_m: Some(0.1),
+        drop: Some(Drop {
+            joint: "cube".into(),
+            below_m: 0.0866,
+            free_flight: true,
+        }),
+        ..Settings::default()
+    };
+    let input = Input {
+        model: &model,
+        config: &ProblemConfig::default(),
+        train: &tosses(hidden, 0..22),
+        holdout: &tosses(hidden, 22..34),
+        protocol: &protocol,
+    };
+    let options = Options {
+        effects: effects.iter().map(|e| (*e).to_owned()).collect(),
+        ..Options::default()
+    };
+    gap::run(&input, &options, &mut |_, _, _| true)
+}
+
+const EFFECTS: [&str; 3] = ["contact_friction", "friction_cone", "length_scale"];
+
+#[test]
+fn friction_cone_and_size_of_a_tossed_cube_are_named() {
+    let outcome = search(&xml(0.25, "elliptic", 0.049), &EFFECTS).expect("searched");
+    let answer = &outcome.answer;
+    let value = |name: &str| {
+        let found = answer.effects.iter().find(|e| e.name == name);
+        let found = found.unwrap_or_else(|| panic!("{name} not found: {:?}", answer.effects));
+        (found.parameters[0].value, found.parameters[0].ci95)
+    };
+    let friction = 0.7 * (1.0 + value("contact_friction").0);
+    assert!((friction - 0.25).abs() < 0.02, "{friction}");
+    value("friction_cone");
+    let (share, ci95) = value("length_scale");
+    assert!((share + 0.02).abs() < 1e-3, "{share}");
+    assert!(
+        ci95.is_some_and(|[low, high]| low < -0.0195 && high > -0.0205),
+        "{ci95:?}"
+    );
+    let gap = answer.gap.holdout.as_ref().expect("held out");
+    assert!(gap.after < 0.4 * gap.before, "{gap:?}");
+    let repaired = Model::from_xml_str(&outcome.model).expect("loads");
+    assert_eq!(repaired.option().cone, phantom::mujoco::Cone::Elliptic);
+}
+
+#[test]
+fn of_a_cube_as_in_the_model_nothing_is_found() {
+    let outcome = search(&xml(0.7, "pyramidal", 0.05), &EFFECTS).expect("searched");
+    assert_eq!(
+        outcome.answer.verdict,
+        Verdict::None,
+        "{:?}",
+        outcome.answer.effects
+    );
+}
