@@ -64,17 +64,22 @@ fn tosses(hidden: &str, numbers: std::ops::Range<u64>) -> Vec<(String, Recording
 }
 
 fn search(hidden: &str, effects: &[&str]) -> Result<gap::Outcome, GapError> {
+    let drop = Drop {
+        joint: "cube".into(),
+        below_m: 0.0866,
+        free_flight: true,
+    };
+    search_by(hidden, effects, drop)
+}
+
+fn search_by(hidden: &str, effects: &[&str], drop: Drop) -> Result<gap::Outcome, GapError> {
     let model = ModelFile::of_text(xml(0.7, "pyramidal", 0.05), "cube.xml").expect("loads");
     let protocol = Settings {
         forces: false,
         horizons_s: vec![],
         to_end: true,
         length_m: Some(0.1),
-        drop: Some(Drop {
-            joint: "cube".into(),
-            below_m: 0.0866,
-            free_flight: true,
-        }),
+        drop: Some(drop),
         ..Settings::default()
     };
     let input = Input {
@@ -126,4 +131,19 @@ fn of_a_cube_as_in_the_model_nothing_is_found() {
         "{:?}",
         outcome.answer.effects
     );
+}
+
+#[test]
+fn what_never_falls_is_refused() {
+    let refused = |joint: &str, below_m: f64, what: &str| {
+        let drop = Drop {
+            joint: joint.into(),
+            below_m,
+            free_flight: true,
+        };
+        let error = search_by(&xml(0.7, "pyramidal", 0.05), &EFFECTS, drop).expect_err(what);
+        assert!(error.to_string().contains(what), "{error}");
+    };
+    refused("cube", 0.01, "never falls");
+    refused("die", 0.0866, "die");
 }

@@ -222,21 +222,23 @@ fn effects(answer: &Answer) -> Section {
 
 fn maps(outcome: &Outcome) -> Section {
     let answer = &outcome.answer;
-    let mut section = Section::new("Where model and recordings disagree").text(&format!(
-        "Force at each joint that brings the fitted model onto the recording, constant over windows of {} s ({} windows).",
-        answer.window_s, answer.n_windows
-    ));
+    let what = if outcome.missing[0].is_some() {
+        format!(
+            "Force at each joint that brings the fitted model onto the recording, constant over windows of {} s ({} windows).",
+            answer.window_s, answer.n_windows
+        )
+    } else {
+        format!(
+            "Rollouts from where bodies fall, up to {} s ({} rollouts): acceleration in flight less gravity, height at rest \
+             less the model's, mean deviation of whole rollouts.",
+            number(answer.window_s),
+            answer.n_windows
+        )
+    };
+    let mut section = Section::new("Where model and recordings disagree").text(&what);
     let mut table = Table::new(
         "Cells whose mean is not chance, base model",
-        &[
-            "joint",
-            "phase",
-            "rms",
-            "mean",
-            "unit",
-            "p (family)",
-            "windows",
-        ],
+        &["channel", "phase", "rms", "mean", "unit", "p (family)", "n"],
     );
     for l in &answer.located {
         table.push(vec![

@@ -246,9 +246,9 @@ pub struct Answer {
     pub remaining: Remaining,
     /// simulating the repaired model and searching again
     pub round_trip: Option<RoundTrip>,
-    /// s of a window
+    /// s of a window, or of the longest rollout
     pub window_s: f64,
-    /// windows
+    /// windows, or rollouts
     pub n_windows: usize,
     /// candidates tested
     pub n_candidates: usize,

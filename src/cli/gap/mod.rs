@@ -37,6 +37,8 @@ use crate::sysid::problem::ProblemConfig;
   phantom gap --model arm.xml --parameters arm.toml --train a.mcap b.mcap --holdout c.mcap --out gap
   phantom gap --model emps.xml --parameters mass.toml --train emps_train.csv --holdout emps_pulses.csv \\
       --binding bindings/emps.toml --protocol bindings/emps.protocol.toml --out gap
+  phantom gap --model cube.xml --train tosses.csv.gz --holdout tosses.csv.gz --binding bindings/cube_toss.toml \\
+      --protocol bindings/cube_toss.protocol.toml --out gap             tosses, by whole rollouts
   phantom gap --parameters finger.toml --train free.mcap --out gap --max-effects 1 --json
   phantom gap bench --suite suites/arm.toml --out blind               how often it is right"
 )]
@@ -81,7 +83,7 @@ struct SearchArgs {
     /// Names, scales and units of the recordings' channels (TOML)
     #[arg(long, value_name = "FILE.toml")]
     binding: Option<PathBuf>,
-    /// How held-out recordings are compared, as in `phantom compare` (TOML)
+    /// How held-out recordings are compared, as in `phantom compare` (TOML); with `[drop]` whole rollouts are searched
     #[arg(long, value_name = "FILE.toml")]
     protocol: Option<PathBuf>,
     /// Most effects

@@ -87,11 +87,14 @@ pub(super) fn resume(
     watch.stage(Stage::Fit);
     check_effects(&options.effects, &input.model.model)?;
     let judge = Judge::new(input, options.seed)?;
-    let broken = || {
-        let reason = "rollouts of the base model break down, or no recording has a start: see the protocol's `drop`";
-        GapError::Input {
+    if longest(&judge)? == 0.0 {
+        let reason = "no recording has a start: the body of the protocol's `drop` never falls below its height";
+        return Err(GapError::Input {
             reason: reason.into(),
-        }
+        });
+    }
+    let broken = || GapError::Input {
+        reason: "rollouts of the base model break down: see its time step and contacts".into(),
     };
     let known: Option<First> = stages::load(keeper, "toss");
     let mut screened: Option<Vec<Tried>> = None;
@@ -102,9 +105,6 @@ pub(super) fn resume(
         (known, seen)
     } else {
         let seen = judge.see(judge.first())?.ok_or_else(broken)?;
-        if seen.rollouts.starts.is_empty() {
-            return Err(broken());
-        }
         let seen = judge.polish(&seen, false, watch)?.ok_or_else(broken)?.seen;
         watch.stage(Stage::Locate);
         let located = locate::locate(&judge, &seen)?;
@@ -302,7 +302,7 @@ fn size(
     Ok((!worse).then_some(size))
 }
 
-/// s of the longest rollout.
+/// s of the longest rollout; 0 without any.
 fn longest(judge: &Judge<'_>) -> Result<f64, GapError> {
     let (model, settings) = (&judge.problem.model, judge.protocol);
     let mut longest = 0.0_f64;
