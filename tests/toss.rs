@@ -1,15 +1,18 @@
 //! What a model of a tumbling body lacks: hidden in simulated tosses, and found by whole rollouts.
 
+mod common;
+
+use std::ops::Range;
 use std::sync::Arc;
 
+use common::toss::Toss;
 use phantom::compare::Settings;
 use phantom::compare::settings::Drop;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::Verdict;
 use phantom::gap::{self, GapError, Input, Options};
-use phantom::mujoco::{Data, Model};
-use phantom::recording::{Channel, Kind, Recording, Stream};
-use phantom::rng::{self, Purpose};
+use phantom::mujoco::Model;
+use phantom::recording::Recording;
 use phantom::sysid::problem::ProblemConfig;
 
 /// Friction of the table, cone and half an edge of the cube.
@@ -23,44 +26,15 @@ fn xml(friction: f64, cone: &str, half: f64) -> String {
 }
 
 /// Tosses until the cube lies still, with a tenth of a millimetre of noise.
-fn tosses(hidden: &str, numbers: std::ops::Range<u64>) -> Vec<(String, Recording)> {
-    let model = Arc::new(Model::from_xml_str(hidden).expect("loads"));
-    let names = |kind: &str, n: usize| -> Vec<String> {
-        (0..n).map(|i| format!("{kind}[cube][{i}]")).collect()
+fn tosses(hidden: &str, numbers: Range<u64>) -> Vec<(String, Recording)> {
+    let toss = Toss {
+        height_m: 0.25,
+        steps: 650,
+        every: 4,
+        noise: 1e-4,
     };
-    numbers
-        .map(|toss| {
-            let mut rng = rng::stream(1, Purpose::Start, 0, toss);
-            let mut data = Data::new(model.clone()).expect("data");
-            data.qpos_mut()[2] = 0.25;
-            for (i, v) in data.qvel_mut().iter_mut().enumerate() {
-                *v = if i < 3 { 0.8 } else { 8.0 } * rng::normal(&mut rng);
-            }
-            let channels = (names("qpos", 7).into_iter().chain(names("qvel", 6)))
-                .map(|name| Channel {
-                    name,
-                    kind: Kind::Sensor,
-                    unit: String::new(),
-                    noise_sigma: None,
-                })
-                .collect();
-            let mut stream = Stream::new("cube", None, channels);
-            for k in 0..650 {
-                if k % 4 == 0 {
-                    let state = data.qpos().iter().chain(data.qvel());
-                    let row: Vec<f64> = state.map(|s| s + 1e-4 * rng::normal(&mut rng)).collect();
-                    stream.push(2_000_000 * k, &row);
-                }
-                data.step().expect("step");
-            }
-            let mut recording = Recording {
-                streams: vec![stream],
-                ..Recording::default()
-            };
-            recording.meta.trial = toss.to_string();
-            (format!("toss {toss}"), recording)
-        })
-        .collect()
+    let model = Arc::new(Model::from_xml_str(hidden).expect("loads"));
+    toss.record(&model, numbers)
 }
 
 fn search(hidden: &str, effects: &[&str]) -> Result<gap::Outcome, GapError> {

@@ -86,15 +86,15 @@ pub(super) fn verify(
         }
     };
     forces(&mut gap, &b, &a);
+    match &mut gap.holdout {
+        Some(forces) => {
+            forces.noise_floor = floor(after, recordings, settings, sigma, seed, &a);
+        }
+        slot => {
+            *slot = (settings.length_m).and_then(|length| distance(&b, &a, length));
+        }
+    }
     rollouts(&mut gap, &b, &a);
-    if gap.holdout.is_none() {
-        gap.holdout = settings
-            .length_m
-            .and_then(|length| distance(&b, &a, length));
-    }
-    if let Some(holdout) = &mut gap.holdout {
-        holdout.noise_floor = floor(after, recordings, settings, sigma, seed, &a);
-    }
     gap.worse = worse(&gap.channels);
     Ok(gap)
 }

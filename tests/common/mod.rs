@@ -4,6 +4,7 @@
 pub(crate) mod browser;
 pub(crate) mod program;
 pub(crate) mod team;
+pub(crate) mod toss;
 
 use phantom::mujoco::{Data, Model};
 use phantom::rng::{self, Stream};

@@ -3,9 +3,8 @@
 use std::sync::Arc;
 
 use phantom::compare::Settings;
-use phantom::mujoco::{Data, Model};
-use phantom::recording::{Kind, Recording, Stream};
-use phantom::rng::{self, Purpose};
+use phantom::mujoco::Model;
+use phantom::recording::Recording;
 use phantom::sysid::SysidError;
 use phantom::sysid::fit::{Fit, Start};
 use phantom::sysid::interval::Posterior;
@@ -14,7 +13,7 @@ use phantom::sysid::parameter::ParameterRule;
 use phantom::sysid::problem::{Problem, ProblemConfig};
 use phantom::sysid::rollouts::RolloutSettings;
 
-use crate::push::channel;
+use crate::common::toss::Toss;
 
 const FRICTION: f64 = 0.25;
 
@@ -32,37 +31,13 @@ fn tosses(n: u64, steps: i64) -> Vec<(String, Recording)> {
     let mut model = cube().try_clone().expect("copy");
     model.edit().pair_friction()[..2].fill(FRICTION);
     let model = Arc::new(model);
-    let names = |kind: &str, n: usize| -> Vec<String> {
-        (0..n).map(|i| format!("{kind}[cube][{i}]")).collect()
+    let toss = Toss {
+        height_m: 0.12,
+        steps,
+        every: 5,
+        noise: 1e-3,
     };
-    (0..n)
-        .map(|toss| {
-            let mut rng = rng::stream(1, Purpose::Start, 0, toss);
-            let mut data = Data::new(model.clone()).expect("data");
-            data.qpos_mut()[2] = 0.12;
-            for (i, v) in data.qvel_mut().iter_mut().enumerate() {
-                *v = if i < 3 { 0.8 } else { 8.0 } * rng::normal(&mut rng);
-            }
-            let channels = (names("qpos", 7).into_iter().chain(names("qvel", 6)))
-                .map(|name| channel(&name, Kind::Sensor, "1"))
-                .collect();
-            let mut stream = Stream::new("cube", None, channels);
-            for k in 0..steps {
-                if k % 5 == 0 {
-                    let state = data.qpos().iter().chain(data.qvel());
-                    let row: Vec<f64> = state.map(|s| s + 1e-3 * rng::normal(&mut rng)).collect();
-                    stream.push(2_000_000 * k, &row);
-                }
-                data.step().expect("step");
-            }
-            let mut recording = Recording {
-                streams: vec![stream],
-                ..Recording::default()
-            };
-            recording.meta.trial = toss.to_string();
-            (format!("toss {toss}"), recording)
-        })
-        .collect()
+    toss.record(&model, 0..n)
 }
 
 fn settings() -> RolloutSettings {

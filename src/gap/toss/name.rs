@@ -10,7 +10,7 @@
 use super::forward::{Candidate, Kept, candidates, screen, zoom};
 use super::judge::{Judge, Polished, difference};
 use super::rest::Size;
-use crate::gap::effect::{Effect, Form, Role, Scales, Sign, named};
+use crate::gap::effect::{Effect, Form, Role, Scales, Sign};
 use crate::gap::model::Chosen;
 use crate::gap::result::{Named, Value, Where};
 use crate::gap::{GapError, Stage, Watch};
@@ -159,10 +159,7 @@ fn alike(
 fn are_neighbours(a: &dyn Effect, b: &dyn Effect) -> bool {
     let knows = |a: &dyn Effect, b: &dyn Effect| {
         let name = b.about().name;
-        a.about()
-            .neighbours
-            .iter()
-            .any(|n| n.name == name && named(n.name).is_some())
+        a.about().neighbours.iter().any(|n| n.name == name)
     };
     knows(a, b) || knows(b, a)
 }
