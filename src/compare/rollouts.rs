@@ -207,7 +207,65 @@ pub fn roll_out(
     Ok(results.into_iter().collect::<Result<_, _>>()?)
 }
 
-/// One rollout: each sample is reached by whole steps and the rest of a step at constant velocity.
+/// Position (nq) and velocity (nv).
+type Moved<'a> = (&'a [f64], &'a [f64]);
+
+/// A simulation from a start, in the order of time.
+pub(crate) struct Run<'d> {
+    data: &'d mut Data,
+    begin_s: f64,
+    steps: usize,
+    qpos: Vec<f64>,
+}
+
+impl<'d> Run<'d> {
+    pub(crate) fn new(
+        data: &'d mut Data,
+        states: &States,
+        start: &Start,
+    ) -> Result<Self, MujocoError> {
+        let nq = data.model().nq();
+        let begin_s = states.time_s[start.sample];
+        data.reset();
+        data.set_memory(states.memory(start.sample))?;
+        data.set_time(begin_s);
+        let row = start.sample * nq..(start.sample + 1) * nq;
+        data.qpos_mut().copy_from_slice(&states.qpos[row]);
+        data.qvel_mut().copy_from_slice(&start.qvel);
+        Ok(Self {
+            data,
+            begin_s,
+            steps: 0,
+            qpos: vec![0.0; nq],
+        })
+    }
+
+    /// Position and velocity at a time: by whole steps, and the rest of a step at constant velocity. None where the
+    /// simulation broke down.
+    pub(crate) fn at(
+        &mut self,
+        time_s: f64,
+        drive: Drive<'_>,
+    ) -> Result<Option<Moved<'_>>, MujocoError> {
+        let h = self.data.model().timestep();
+        let elapsed = time_s - self.begin_s;
+        while (self.steps as f64 + 0.5) * h <= elapsed {
+            drive(self.data, self.begin_s + self.steps as f64 * h);
+            self.data.step()?;
+            self.steps += 1;
+        }
+        if self.data.warnings().diverged() {
+            return Ok(None);
+        }
+        self.qpos.copy_from_slice(self.data.qpos());
+        let rest = elapsed - self.steps as f64 * h;
+        let model = self.data.model();
+        model.integrate_pos(&mut self.qpos, self.data.qvel(), rest)?;
+        Ok(Some((&self.qpos, self.data.qvel())))
+    }
+}
+
+/// One rollout, compared at every sample.
 fn from(
     data: &mut Data,
     states: &States,
@@ -216,43 +274,28 @@ fn from(
     horizons: &[f64],
     drive: Drive<'_>,
 ) -> Result<Rolled, MujocoError> {
-    let model = Arc::clone(data.model_arc());
-    let (nq, nv, h) = (model.nq(), model.nv(), model.timestep());
+    let (nq, nv) = (data.model().nq(), data.model().nv());
     let begin = states.time_s[start.sample];
-    let row = start.sample * nq..(start.sample + 1) * nq;
-    data.reset();
-    data.set_memory(states.memory(start.sample))?;
-    data.set_time(begin);
-    data.qpos_mut().copy_from_slice(&states.qpos[row]);
-    data.qvel_mut().copy_from_slice(&start.qvel);
+    let mut run = Run::new(data, states, start)?;
     // half an interval: the sample nearest to the end of a horizon belongs to it
     let slack = 0.5 * states.interval_s();
     let longest = horizons.iter().copied().fold(0.0, f64::max);
     let mut running = vec![Deviation::default(); channels.len()];
     let mut deviations = vec![None; horizons.len()];
-    let mut steps = 0_usize;
-    let mut qpos = vec![0.0; nq];
     for k in start.sample..states.len() {
         let elapsed = states.time_s[k] - begin;
         if elapsed > longest + slack {
             break;
         }
-        while (steps as f64 + 0.5) * h <= elapsed {
-            drive(data, begin + steps as f64 * h);
-            data.step()?;
-            steps += 1;
-        }
-        if data.warnings().diverged() {
+        let Some(simulated) = run.at(states.time_s[k], drive)? else {
             break;
-        }
-        qpos.copy_from_slice(data.qpos());
-        model.integrate_pos(&mut qpos, data.qvel(), elapsed - steps as f64 * h)?;
+        };
         let real = (
             &states.qpos[k * nq..(k + 1) * nq],
             &states.qvel[k * nv..(k + 1) * nv],
         );
         for (channel, sum) in channels.iter().zip(&mut running) {
-            let error = deviation(&channel.part, (&qpos, data.qvel()), real);
+            let error = deviation(&channel.part, simulated, real);
             *sum = Deviation {
                 n: sum.n + 1,
                 sum: sum.sum + error,
@@ -281,7 +324,7 @@ fn from(
 }
 
 /// Magnitude of the difference of two states.
-fn deviation(part: &Part, simulated: (&[f64], &[f64]), real: (&[f64], &[f64])) -> f64 {
+fn deviation(part: &Part, simulated: Moved<'_>, real: Moved<'_>) -> f64 {
     match *part {
         Part::Position(i) => (simulated.0[i] - real.0[i]).abs(),
         Part::Velocity(i) => (simulated.1[i] - real.1[i]).abs(),

@@ -4,8 +4,9 @@
 //! dx = −(Σ J̃ᵀJ̃ + P)⁻¹ (Σ J̃ᵀ r̃ + P (x − x̄))        ds = −(RᵀR + D)⁻¹ Rᵀ (Qᵀ r + Qᵀ J dx)
 //! ```
 //!
-//! with P the precision of priors, bounds kept, D a trace that holds back what readings do not see, and Q, R, J̃, r̃ of [`super::linear`]. r is simulated exactly after each
-//! step; J and Q, which cost a simulation an unknown, are only where the cost does not fall as they foretell. Windows
+//! with P the precision of priors, bounds kept, D a trace that holds back what readings do not see, and Q, R, J̃, r̃ of
+//! [`super::linear`]. r is simulated exactly after each step; J and Q, which cost a simulation an unknown, are only where
+//! the cost does not fall as they foretell. Windows
 //! know nothing of each other: each takes the part of its ds that suits it, and those that friction or stops bend go on
 //! by themselves ([`super::settle`]).
 

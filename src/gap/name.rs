@@ -9,16 +9,18 @@
 //!
 //! in units of the noise that the recordings show ([`super::score`]).
 
-use super::effect::{Role, Sign, named};
+use super::effect::{Form, Role, Sign, named};
+use super::model::Chosen;
 use super::result::{Experiment, Named, Untestable, Value, Where};
 use super::score::Normal;
 use super::screen::{Candidate, Screen};
-use super::search::Search;
+use super::search::{Evidence, Search};
+use super::untestable::UNSHOWN;
 use crate::sysid::SysidError;
 use crate::sysid::student::two_sided_t;
 
 /// Squared separation below which two effects are one class.
-const APART: f64 = 9.0;
+pub(super) const APART: f64 = 9.0;
 /// How many times the largest size to be expected another explanation may need.
 const ABSURD: f64 = 2.0;
 
@@ -69,46 +71,58 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
                 unit: parameter.unit(&scales).to_owned(),
             });
         }
-        let evidence = &search.evidence[i];
-        let mut class = vec![about.name.to_owned()];
-        let (mut others, mut rest) = (Vec::new(), 0.0);
+        let mut others = Vec::new();
         if let Some((t, j)) = surest {
             for c in &screen.candidates {
                 let Some(d2) = separation(search, &screen.normal, c, t, j) else {
                     continue;
                 };
                 if d2 < APART {
-                    rest += f64::exp(-0.5 * d2);
-                    let own = c.effect.about().name;
-                    if !class.iter().any(|n| n == own) {
-                        class.push(own.to_owned());
-                    }
                     others.push(Where {
-                        name: own.to_owned(),
+                        name: c.effect.about().name.to_owned(),
                         at: c.place.to_string(),
                         separation: d2,
                     });
                 }
             }
         }
-        out.push(Named {
-            name: about.name.to_owned(),
-            at: chosen.place.to_string(),
-            class,
-            probability: (1.0 - evidence.p_value).max(0.0) / (1.0 + rest),
-            p_value: evidence.p_value,
-            parameters,
-            expressed_as: match search.built.forms[i] {
-                super::effect::Form::Mjcf => "mjcf",
-                super::effect::Form::Supplement => "supplement",
-            },
-            law: about.law.to_owned(),
-            gain: evidence.gain,
-            size: evidence.size,
-            alike: others,
-        });
+        let said = (chosen, search.built.forms[i]);
+        out.push(called(said, parameters, &search.evidence[i], others));
     }
     Ok(out)
+}
+
+/// An effect with its class: itself, and those `alike` that could stand in its place.
+pub(super) fn called(
+    (chosen, form): (&Chosen, Form),
+    parameters: Vec<Value>,
+    evidence: &Evidence,
+    alike: Vec<Where>,
+) -> Named {
+    let about = chosen.effect.about();
+    let mut class = vec![about.name.to_owned()];
+    for other in &alike {
+        if !class.contains(&other.name) {
+            class.push(other.name.clone());
+        }
+    }
+    let rest: f64 = alike.iter().map(|a| f64::exp(-0.5 * a.separation)).sum();
+    Named {
+        name: about.name.to_owned(),
+        at: chosen.place.to_string(),
+        class,
+        probability: (1.0 - evidence.p_value).max(0.0) / (1.0 + rest),
+        p_value: evidence.p_value,
+        parameters,
+        expressed_as: match form {
+            Form::Mjcf => "mjcf",
+            Form::Supplement => "supplement",
+        },
+        law: about.law.to_owned(),
+        gain: evidence.gain,
+        size: evidence.size,
+        alike,
+    }
 }
 
 /// How far a candidate is from an effect in the model, whose surest number is free parameter `j` with `t`; none if it
@@ -188,10 +202,7 @@ pub(super) fn next_experiment(effects: &[Named], untestable: &[Untestable]) -> O
             });
         }
     }
-    let hidden: Vec<&Untestable> = untestable
-        .iter()
-        .filter(|u| u.reason.starts_with("nothing"))
-        .collect();
+    let hidden: Vec<&Untestable> = untestable.iter().filter(|u| u.reason == UNSHOWN).collect();
     let mut counts: Vec<(String, usize)> = Vec::new();
     for b in hidden.iter().flat_map(|u| &u.behaviours) {
         match counts.iter_mut().find(|c| c.0 == *b) {

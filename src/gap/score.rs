@@ -403,6 +403,19 @@ fn wald(beta: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64) -> f64 {
     FisherSnedecor::new(n, left).map_or(1.0, |d| d.sf(f))
 }
 
+/// Mean of two or more independent values, and its standard error, above 0.
+pub(super) fn mean(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (mean, (variance / n).sqrt().max(f64::MIN_POSITIVE))
+}
+
+/// Root mean square.
+pub(super) fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
 /// Probability of a t this large in magnitude.
 pub(super) fn two_sided(t: f64, dof: f64) -> f64 {
     if !t.is_finite() {

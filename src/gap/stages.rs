@@ -5,6 +5,7 @@
 //! | `fit` | the base model's parameters, first states and weights |
 //! | `screen` | what the first screen says |
 //! | `effect-1`, … | the model after each step of the search |
+//! | `toss`, `toss-1`, … | the same of tosses: the first look, then each step |
 //!
 //! What is not kept follows from what is: the same report comes out, to the last bit. Whoever keeps them sees to it that
 //! they belong to the same input ([`key`]).

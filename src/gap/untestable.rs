@@ -4,7 +4,7 @@
 //! what is left, as surely as a finding must, and above the least size of one, both as the last screen has them. What
 //! fitted parameters absorb, or no recording excites, does not.
 
-use super::effect::{self, Role};
+use super::effect::{self, Effect, Place, Role};
 use super::forward::tests;
 use super::name;
 use super::result::Untestable;
@@ -12,9 +12,12 @@ use super::score::two_sided;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen};
 use super::search::Search;
 
+/// Why: no recording shows it.
+pub(super) const UNSHOWN: &str = "nothing that was recorded depends on it";
+
 /// Effects with the places where they are not testable; `screen` is of the model that the search ended with.
 pub(super) fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable> {
-    let mut out: Vec<Untestable> = Vec::new();
+    let mut out = Vec::new();
     let n_tests = tests(screen);
     for (effect, place) in effect::candidates(&search.base.model) {
         let about = effect.about();
@@ -24,7 +27,7 @@ pub(super) fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable
         let reason = match found {
             _ if search.has(about.name, &place) => continue,
             None if companion => continue, // looked at once there is dry friction
-            None => "nothing that was recorded depends on it",
+            None => UNSHOWN,
             Some(c) => match &c.score {
                 None => "the fitted parameters explain all of it",
                 Some(s) if s.visible < LEAST_VISIBLE => {
@@ -36,17 +39,23 @@ pub(super) fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable
                 Some(_) => continue,
             },
         };
-        match (out.iter_mut()).find(|u| u.name == about.name && u.reason == reason) {
-            Some(u) => u.at.push(place.to_string()),
-            None => out.push(Untestable {
-                name: about.name.to_owned(),
-                at: vec![place.to_string()],
-                reason: reason.to_owned(),
-                behaviours: name::behaviours(about.name),
-            }),
-        }
+        list(&mut out, effect, &place, reason);
     }
     out
+}
+
+/// Adds a place to a list of one line an effect and reason.
+pub(super) fn list(out: &mut Vec<Untestable>, effect: &dyn Effect, place: &Place, reason: &str) {
+    let name = effect.about().name;
+    match (out.iter_mut()).find(|u| u.name == name && u.reason == reason) {
+        Some(u) => u.at.push(place.to_string()),
+        None => out.push(Untestable {
+            name: name.to_owned(),
+            at: vec![place.to_string()],
+            reason: reason.to_owned(),
+            behaviours: name::behaviours(name),
+        }),
+    }
 }
 
 /// Whether an effect of the usual size would be overlooked, whichever of its parameters it shows in.

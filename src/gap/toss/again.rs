@@ -1,9 +1,12 @@
 //! The repaired model tossed and searched again: nothing more must be found, and its numbers must come back.
 
+use std::sync::Arc;
+
 use super::forward::{candidates, forward, screen};
 use super::judge::{Judge, Point};
 use super::name::intervals;
 use super::rest;
+use crate::compare::rollouts::Run;
 use crate::compare::start::starts;
 use crate::compare::{CompareError, Settings, States};
 use crate::gap::result::{Returned, RoundTrip};
@@ -14,7 +17,6 @@ use crate::recording::{Bound, BoundChannel, Recording};
 use crate::rng::{self, Purpose};
 use crate::sysid::ensemble;
 use crate::sysid::problem::Problem;
-use std::sync::Arc;
 
 /// Searches what the model of `whole` would have recorded, begun as the training recordings. The first `fitted` of its
 /// effects were fitted to tosses, one after them to what lies still.
@@ -95,29 +97,17 @@ fn toss(
     };
     let bound = Bound::new(&recording, model).map_err(CompareError::from)?;
     let mut data = Data::new(Arc::clone(model))?;
-    let (nq, h) = (model.nq(), model.timestep());
-    let begin = states.time_s[start.sample];
-    data.set_time(begin);
-    data.qpos_mut()
-        .copy_from_slice(&states.qpos[start.sample * nq..(start.sample + 1) * nq]);
-    data.qvel_mut().copy_from_slice(&start.qvel);
+    let mut run = Run::new(&mut data, &states, &start)?;
     let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, trial as u64);
-    let mut steps = 0_usize;
-    let mut qpos = vec![0.0; nq];
-    for k in start.sample + 1..states.len() {
-        let elapsed = states.time_s[k] - begin;
-        while (steps as f64 + 0.5) * h <= elapsed {
-            states.controls_at(begin + steps as f64 * h, data.ctrl_mut());
-            data.step()?;
-            steps += 1;
-        }
-        qpos.copy_from_slice(data.qpos());
-        model.integrate_pos(&mut qpos, data.qvel(), elapsed - steps as f64 * h)?;
+    for time in &states.time_s[start.sample + 1..] {
+        let moved = run.at(*time, &|data, time| {
+            states.controls_at(time, data.ctrl_mut());
+        })?;
+        let Some((qpos, qvel)) = moved else { break };
         let mut put = |channels: &[BoundChannel], values: &[f64], first: usize| {
             for b in channels {
                 let stream = &mut recording.streams[b.stream];
-                let Some(row) =
-                    (0..stream.len()).find(|i| (stream.time(*i) - states.time_s[k]).abs() < 1e-9)
+                let Some(row) = (0..stream.len()).find(|i| (stream.time(*i) - time).abs() < 1e-9)
                 else {
                     continue;
                 };
@@ -130,8 +120,8 @@ fn toss(
                 stream.values[row * width + b.column] = values[b.address] + noise;
             }
         };
-        put(&bound.qpos, &qpos, model.nsensordata());
-        put(&bound.qvel, data.qvel(), model.nsensordata() + nq);
+        put(&bound.qpos, qpos, model.nsensordata());
+        put(&bound.qvel, qvel, model.nsensordata() + model.nq());
     }
     Ok(recording)
 }

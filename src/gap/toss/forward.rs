@@ -12,7 +12,7 @@ use super::judge::{Difference, Judge, Point, Seen, difference};
 use super::rest;
 use crate::gap::effect::{self, Effect, Place, Role, Scales, Sign};
 use crate::gap::model::{Chosen, variants};
-use crate::gap::search::Limits;
+use crate::gap::search::{Evidence, Limits};
 use crate::gap::{GapError, Stage, Watch};
 
 /// Sizes of a candidate between the least and the largest.
@@ -51,14 +51,6 @@ pub(super) struct Tried {
     pub seen: Seen,
     /// whether any size of it changes anything
     pub shows: bool,
-}
-
-/// Why an effect was kept.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
-pub(super) struct Kept {
-    pub p_value: f64,
-    /// part by which deviations fell
-    pub gain: f64,
 }
 
 /// Candidates beside what is chosen; `only` names those to look for, or is empty. The size of a body is left to what lies
@@ -200,7 +192,7 @@ pub(super) fn forward(
     present: &Seen,
     screened: Vec<Tried>,
     watch: &mut Watch<'_>,
-) -> Result<Option<(Seen, Kept)>, GapError> {
+) -> Result<Option<(Seen, Evidence)>, GapError> {
     let tests = screened.iter().filter(|t| t.shows).count().max(1) as f64;
     watch.stage(Stage::Refit);
     let mut rivals = Vec::new();
@@ -228,7 +220,12 @@ pub(super) fn forward(
         }
         let held = judge.held_out(&present.point, &rival.seen.point)?;
         if held.is_none_or(|held| held.t >= HELD_T) {
-            return Ok(Some((rival.seen, Kept { p_value, gain })));
+            let evidence = Evidence {
+                p_value,
+                gain,
+                size: None,
+            };
+            return Ok(Some((rival.seen, evidence)));
         }
     }
     Ok(None)

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::rest;
-use crate::compare::Settings;
+use crate::compare::start::starts;
+use crate::compare::{Settings, States};
 use crate::gap::effect::ModelFile;
 use crate::gap::inputs::judged;
 use crate::gap::model::{Built, Chosen, Measured};
 use crate::gap::run::Input;
-use crate::gap::score::two_sided;
+use crate::gap::score::{mean, two_sided};
 use crate::gap::{GapError, Watch};
 use crate::recording::Recording;
 use crate::sysid::SysidError;
@@ -82,6 +83,8 @@ pub(super) struct Judge<'a> {
     measured: Measured,
     /// last positions of the trials that end at rest
     pub ends: Vec<Vec<f64>>,
+    /// s of the longest rollout
+    pub longest_s: f64,
     seed: u64,
 }
 
@@ -96,6 +99,7 @@ impl<'a> Judge<'a> {
         let held = (!input.holdout.is_empty()).then(|| of(input.holdout));
         Ok(Self {
             ends: rest::ends(&problem, input.protocol)?,
+            longest_s: longest_s(&problem, input.protocol)?,
             base: input.model,
             rules: &input.config.parameter,
             problem,
@@ -236,14 +240,31 @@ impl<'a> Judge<'a> {
     }
 }
 
+/// s of the longest rollout.
+fn longest_s(problem: &Problem, protocol: &Settings) -> Result<f64, GapError> {
+    let mut longest: Option<f64> = None;
+    for trial in &problem.trials {
+        let states = States::new(&trial.recording, &problem.model, protocol)?;
+        let end = states.time_s[states.len() - 1];
+        for start in starts(&problem.model, &states, protocol)?
+            .into_iter()
+            .flatten()
+        {
+            let own = end - states.time_s[start.sample];
+            longest = Some(longest.map_or(own, |longest| longest.max(own)));
+        }
+    }
+    longest.ok_or_else(|| GapError::Input {
+        reason: "no recording has a start: the body of the protocol's `drop` never falls below its height".into(),
+    })
+}
+
 /// How much smaller the deviations of `b` are than those of `a`.
 pub(super) fn difference(a: &Rollouts, b: &Rollouts) -> Option<Difference> {
     let falls = a.falls(b).filter(|f| f.len() > 1)?;
-    let n = falls.len() as f64;
-    let mean = falls.iter().sum::<f64>() / n;
-    let variance = falls.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    let (mean, error) = mean(&falls);
     Some(Difference {
-        t: mean / (variance / n).sqrt().max(f64::MIN_POSITIVE),
-        dof: n - 1.0,
+        t: mean / error,
+        dof: falls.len() as f64 - 1.0,
     })
 }

@@ -12,7 +12,7 @@ use crate::compare::States;
 use crate::compare::start::starts;
 use crate::gap::GapError;
 use crate::gap::result::Located;
-use crate::gap::score::two_sided;
+use crate::gap::score::{mean, rms, two_sided};
 use crate::mujoco::ObjectKind;
 
 /// Samples that a flight needs.
@@ -23,23 +23,24 @@ pub(super) fn locate(judge: &Judge<'_>, seen: &Seen) -> Result<Vec<Located>, Gap
     let mut cells = in_flight(judge)?;
     cells.extend(at_rest(judge, seen)?);
     for (channel, horizon, deviations) in seen.rollouts.kinds() {
-        let n = deviations.len() as f64;
-        let mean = deviations.iter().sum::<f64>() / n;
-        let square = deviations.iter().map(|d| d * d).sum::<f64>() / n;
-        let noise = noise(judge, channel);
-        let spread = ((square - mean * mean).max(0.0) / (n - 1.0).max(1.0)).sqrt();
-        let t = (mean - noise) / spread.max(f64::MIN_POSITIVE);
+        let n = deviations.len();
+        let (mean, error) = mean(&deviations);
+        let t = (mean - noise(judge, channel)) / error;
         cells.push(Located {
             channel: channel.to_owned(),
             phase: match judge.protocol.horizons_s.get(horizon) {
                 Some(seconds) => format!("{seconds} s on"),
                 None => "to the end".to_owned(),
             },
-            effect_size: square.sqrt(),
+            effect_size: rms(&deviations),
             mean,
             unit: unit(channel).to_owned(),
-            p_value: if t > 0.0 { two_sided(t, n - 1.0) } else { 1.0 },
-            n: deviations.len(),
+            p_value: if t > 0.0 {
+                two_sided(t, n as f64 - 1.0)
+            } else {
+                1.0
+            },
+            n,
         });
     }
     let tests = cells.len() as f64;

@@ -33,11 +33,11 @@ use super::model::Chosen;
 use super::repair::{machine, repaired, rules};
 use super::result::{Answer, Located, Remaining, Tested, Untestable, Verdict};
 use super::run::{Input, Options, Outcome};
+use super::search::Evidence;
 use super::stages::{self, Keeper};
+use super::untestable::{UNSHOWN, list};
 use super::{GapError, Stage, Watch, verify};
-use crate::compare::States;
-use crate::compare::start::starts;
-use forward::{Kept, Tried, candidates, screen};
+use forward::{Tried, candidates, screen};
 use judge::{Judge, Point, Polished, Seen, difference};
 use rest::Size;
 
@@ -55,7 +55,7 @@ struct First {
 struct Step {
     effects: Vec<(String, Place, Vec<f64>)>,
     base: Vec<f64>,
-    kept: Vec<Kept>,
+    kept: Vec<Evidence>,
     ended: bool,
 }
 
@@ -87,12 +87,6 @@ pub(super) fn resume(
     watch.stage(Stage::Fit);
     check_effects(&options.effects, &input.model.model)?;
     let judge = Judge::new(input, options.seed)?;
-    if longest(&judge)? == 0.0 {
-        let reason = "no recording has a start: the body of the protocol's `drop` never falls below its height";
-        return Err(GapError::Input {
-            reason: reason.into(),
-        });
-    }
     let broken = || GapError::Input {
         reason: "rollouts of the base model break down: see its time step and contacts".into(),
     };
@@ -121,7 +115,7 @@ pub(super) fn resume(
         (first, seen)
     };
     let before = seen.point.clone();
-    let mut kept: Vec<Kept> = Vec::new();
+    let mut kept: Vec<Evidence> = Vec::new();
     let mut n = 0;
     while seen.point.chosen.len() < options.max_effects {
         n += 1;
@@ -195,7 +189,7 @@ fn conclude(
     options: &Options,
     judge: &Judge<'_>,
     (first, before): (First, Point),
-    (polished, kept): (Polished, &[Kept]),
+    (polished, kept): (Polished, &[Evidence]),
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, GapError> {
     let mut effects = name::name(judge, &polished, kept, watch)?;
@@ -264,7 +258,7 @@ fn conclude(
                 after: None,
             },
             round_trip,
-            window_s: longest(judge)?,
+            window_s: judge.longest_s,
             n_windows: polished.seen.rollouts.starts.len(),
         },
         machines: [before.model, after.model],
@@ -302,20 +296,6 @@ fn size(
     Ok((!worse).then_some(size))
 }
 
-/// s of the longest rollout; 0 without any.
-fn longest(judge: &Judge<'_>) -> Result<f64, GapError> {
-    let (model, settings) = (&judge.problem.model, judge.protocol);
-    let mut longest = 0.0_f64;
-    for trial in &judge.problem.trials {
-        let states = States::new(&trial.recording, model, settings)?;
-        let end = states.time_s[states.len() - 1];
-        for start in starts(model, &states, settings)?.into_iter().flatten() {
-            longest = longest.max(end - states.time_s[start.sample]);
-        }
-    }
-    Ok(longest)
-}
-
 fn tested(present: &Seen, tried: &Tried) -> Tested {
     let chosen = tried.seen.point.chosen.last();
     let fall = difference(&present.rollouts, &tried.seen.rollouts);
@@ -332,21 +312,9 @@ fn tested(present: &Seen, tried: &Tried) -> Tested {
 
 /// Effects that change nothing in any size.
 fn untestable(tried: &[Tried]) -> Vec<Untestable> {
-    let mut out: Vec<Untestable> = Vec::new();
+    let mut out = Vec::new();
     for t in tried.iter().filter(|t| !t.shows) {
-        let (name, place) = (
-            t.candidate.effect.about().name,
-            t.candidate.place.to_string(),
-        );
-        match out.iter_mut().find(|u| u.name == name) {
-            Some(known) => known.at.push(place),
-            None => out.push(Untestable {
-                name: name.to_owned(),
-                at: vec![place],
-                reason: "nothing that was recorded depends on it".into(),
-                behaviours: super::name::behaviours(name),
-            }),
-        }
+        list(&mut out, t.candidate.effect, &t.candidate.place, UNSHOWN);
     }
     out
 }

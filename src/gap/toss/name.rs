@@ -7,23 +7,22 @@
 //! P = (1 − p) / (1 + Σⱼ e^(−tⱼ²/2))
 //! ```
 
-use super::forward::{Candidate, Kept, candidates, screen, zoom};
+use super::forward::{Candidate, candidates, screen, zoom};
 use super::judge::{Judge, Polished, difference};
 use super::rest::Size;
 use crate::gap::effect::{Effect, Form, Role, Scales, Sign};
 use crate::gap::model::Chosen;
+use crate::gap::name::{APART, called};
 use crate::gap::result::{Named, Value, Where};
+use crate::gap::search::Evidence;
 use crate::gap::{GapError, Stage, Watch};
 use crate::sysid::interval::Posterior;
-
-/// Squared t below which two effects are one class.
-const APART: f64 = 9.0;
 
 /// Names of all effects of the model.
 pub(super) fn name(
     judge: &Judge<'_>,
     polished: &Polished,
-    kept: &[Kept],
+    kept: &[Evidence],
     watch: &mut Watch<'_>,
 ) -> Result<Vec<Named>, GapError> {
     let chosen = &polished.seen.point.chosen;
@@ -33,29 +32,9 @@ pub(super) fn name(
         let about = own.effect.about();
         about.name.clone_into(&mut watch.note);
         let alike = alike(judge, polished, i, watch)?;
-        let mut class = vec![about.name.to_owned()];
-        for other in &alike {
-            if !class.contains(&other.name) {
-                class.push(other.name.clone());
-            }
-        }
-        let rest: f64 = alike.iter().map(|a| f64::exp(-0.5 * a.separation)).sum();
-        out.push(Named {
-            name: about.name.to_owned(),
-            at: own.place.to_string(),
-            class,
-            probability: (1.0 - kept.p_value).max(0.0) / (1.0 + rest),
-            p_value: kept.p_value,
-            parameters: values(judge, own, &intervals[i]),
-            expressed_as: match polished.built.forms[i] {
-                Form::Mjcf => "mjcf",
-                Form::Supplement => "supplement",
-            },
-            law: about.law.to_owned(),
-            gain: kept.gain,
-            size: None,
-            alike,
-        });
+        let parameters = values(judge, own, &intervals[i]);
+        let said = (own, polished.built.forms[i]);
+        out.push(called(said, parameters, kept, alike));
     }
     watch.note.clear();
     Ok(out)
@@ -64,20 +43,18 @@ pub(super) fn name(
 /// The name of a size that is off.
 pub(super) fn size(judge: &Judge<'_>, size: &Size) -> Option<Named> {
     let chosen = size.chosen()?;
-    let about = chosen.effect.about();
-    Some(Named {
-        name: about.name.to_owned(),
-        at: size.place.to_string(),
-        class: vec![about.name.to_owned()],
-        probability: 1.0 - size.p_value,
+    let parameters = values(judge, &chosen, &[(0, size.ci95)]);
+    let evidence = Evidence {
         p_value: size.p_value,
-        parameters: values(judge, &chosen, &[(0, size.ci95)]),
-        expressed_as: "mjcf",
-        law: about.law.to_owned(),
         gain: 0.0,
         size: None,
-        alike: Vec::new(),
-    })
+    };
+    Some(called(
+        (&chosen, Form::Mjcf),
+        parameters,
+        &evidence,
+        Vec::new(),
+    ))
 }
 
 fn values(judge: &Judge<'_>, chosen: &Chosen, intervals: &[(usize, [f64; 2])]) -> Vec<Value> {

@@ -20,7 +20,7 @@ use crate::compare::{Settings, States};
 use crate::gap::GapError;
 use crate::gap::effect::{Place, PlaceKind, named};
 use crate::gap::model::Chosen;
-use crate::gap::score::two_sided;
+use crate::gap::score::{mean, rms, two_sided};
 use crate::mujoco::{Data, Model, ObjectKind};
 use crate::sysid::ensemble;
 use crate::sysid::problem::Problem;
@@ -117,18 +117,15 @@ pub(super) fn size(judge: &Judge<'_>, point: &Point) -> Result<Option<Size>, Gap
         return Ok(None);
     }
     let n = shares.len() as f64;
-    let mean = |all: &[f64]| all.iter().sum::<f64>() / all.len() as f64;
-    let share = mean(&shares);
-    let variance = shares.iter().map(|s| (s - share).powi(2)).sum::<f64>() / (n - 1.0);
-    let sigma = (variance / n).sqrt().max(f64::MIN_POSITIVE);
+    let (share, sigma) = mean(&shares);
     let half = two_sided_t(0.95, n - 1.0) * sigma;
     Ok(Some(Size {
         place,
         share,
         ci95: [share - half, share + half],
         p_value: two_sided(share / sigma, n - 1.0),
-        mean_m: mean(&off),
-        rms_m: mean(&off.iter().map(|d| d * d).collect::<Vec<_>>()).sqrt(),
+        mean_m: mean(&off).0,
+        rms_m: rms(&off),
         n: shares.len(),
     }))
 }
