@@ -55,41 +55,65 @@ pub(super) struct Islands {
     pub contacts: Contacts,
 }
 
-impl Islands {
+/// What belongs together, by the name of its part: the first of its trees.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Partition {
+    /// of each degree of freedom
+    pub dofs: Vec<usize>,
+    /// of each channel; none: it depends on no tree
+    pub channels: Vec<Option<usize>>,
+    /// parts that each parameter, free or not, reaches
+    pub parameters: Vec<BTreeSet<usize>>,
+}
+
+impl Partition {
     /// Where `contacts` are all pairs of geoms that touch.
-    pub(super) fn new(problem: &Problem, contacts: Contacts) -> Self {
+    pub(super) fn new(problem: &Problem, contacts: &Contacts) -> Self {
         let model = &*problem.model;
-        let reach = Reach::new(model, &contacts);
+        let reach = Reach::new(model, contacts);
         let channels: Vec<Trees> = (problem.channels.iter())
             .map(|c| channel(model, &reach, c.source))
             .collect();
-        let island_of = joined(reach.len(), reach.tied().iter().chain(&channels));
-        let of_trees =
-            |trees: &Trees| -> BTreeSet<usize> { trees.iter().map(|t| island_of[*t]).collect() };
-        let parameters: Vec<BTreeSet<usize>> = (problem.parameters.all.iter())
-            .map(|p| of_trees(&reached(problem, &reach, &channels, &p.role)))
-            .collect();
-        let some: BTreeSet<usize> = parameters.iter().flatten().copied().collect();
-        let is_idle = |island: usize| !some.is_empty() && !some.contains(&island);
+        let part_of = joined(reach.len(), reach.tied().iter().chain(&channels));
+        let parameters = problem.parameters.all.iter().map(|p| {
+            let trees = reached(problem, &reach, &channels, &p.role);
+            trees.iter().map(|t| part_of[*t]).collect()
+        });
+        Self {
+            dofs: (0..model.nv()).map(|d| part_of[reach.of_dof(d)]).collect(),
+            parameters: parameters.collect(),
+            channels: (channels.iter())
+                .map(|trees| trees.first().map(|t| part_of[*t]))
+                .collect(),
+        }
+    }
+}
 
+impl Islands {
+    /// Where `contacts` are all pairs of geoms that touch.
+    pub(super) fn new(problem: &Problem, contacts: Contacts) -> Self {
+        let partition = Partition::new(problem, &contacts);
+        let names: BTreeSet<usize> = partition.dofs.iter().copied().collect();
+        let some: BTreeSet<usize> = partition.parameters.iter().flatten().copied().collect();
+        let is_idle = |island: usize| !some.is_empty() && !some.contains(&island);
+        let rotations = manifold::rotations(&problem.model);
         let mut parts = Vec::new();
         let mut idle = Vec::new();
-        let names: BTreeSet<usize> = island_of.iter().copied().collect();
-        for &name in &names {
-            let dofs: Vec<usize> = (0..model.nv())
-                .filter(|d| island_of[reach.of_dof(*d)] == name)
+        for name in names {
+            let dofs: Vec<usize> = (0..partition.dofs.len())
+                .filter(|d| partition.dofs[*d] == name)
                 .collect();
             if is_idle(name) {
                 idle.extend(dofs);
                 continue;
             }
-            let own = |trees: &Trees| trees.first().is_some_and(|t| island_of[*t] == name);
             let free = problem.parameters.free.iter().enumerate();
-            let rotations = manifold::rotations(model);
             parts.push(Island {
-                channels: (0..channels.len()).filter(|c| own(&channels[*c])).collect(),
+                channels: (0..partition.channels.len())
+                    .filter(|c| partition.channels[*c] == Some(name))
+                    .collect(),
                 parameters: free
-                    .filter(|(_, i)| parameters[**i].contains(&name))
+                    .filter(|(_, i)| partition.parameters[**i].contains(&name))
                     .map(|(j, _)| j)
                     .collect(),
                 rotations: (rotations.iter())

@@ -10,7 +10,7 @@ use crate::mjcf::attribute::Target;
 use crate::mujoco::Model;
 
 /// Pairs of geoms that touch at some knot.
-pub(super) type Contacts = BTreeSet<[usize; 2]>;
+pub(crate) type Contacts = BTreeSet<[usize; 2]>;
 /// Indices of trees.
 pub(super) type Trees = BTreeSet<usize>;
 

@@ -11,6 +11,7 @@
 //!
 //! Constraints that are springs by intent, slower than [`QUICK_S`], leave their states free.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -101,16 +102,23 @@ impl Loops {
     fn along(&mut self, state: &State) -> Result<DMatrix<f64>, SysidError> {
         let (j, _) = self.constraints(&state.qpos)?;
         let nv = state.qvel.len();
-        let eigen = SymmetricEigen::new(j.tr_mul(&j));
-        let most = eigen.eigenvalues.max();
-        let free: Vec<usize> = (0..nv)
-            .filter(|&i| eigen.eigenvalues[i] <= RANK * most)
-            .collect();
-        let mut out = DMatrix::zeros(2 * nv, 2 * free.len());
-        for (k, &i) in free.iter().enumerate() {
-            let own = eigen.eigenvectors.column(i);
-            out.view_mut((0, k), (nv, 1)).copy_from(&own);
-            out.view_mut((nv, free.len() + k), (nv, 1)).copy_from(&own);
+        let normal = j.tr_mul(&j);
+        let most = normal.diagonal().max();
+        let mut found: Vec<(Vec<usize>, DVector<f64>)> = Vec::new();
+        // what no constraint ties together has directions of its own
+        for dofs in tied(&j) {
+            let own = normal.select_rows(&dofs).select_columns(&dofs);
+            let eigen = SymmetricEigen::new(own);
+            let free = (0..dofs.len()).filter(|&i| eigen.eigenvalues[i] <= RANK * most);
+            found.extend(free.map(|i| (dofs.clone(), eigen.eigenvectors.column(i).into_owned())));
+        }
+        let n = found.len();
+        let mut out = DMatrix::zeros(2 * nv, 2 * n);
+        for (k, (dofs, own)) in found.iter().enumerate() {
+            for (&d, value) in dofs.iter().zip(own.iter()) {
+                out[(d, k)] = *value;
+                out[(nv + d, n + k)] = *value;
+            }
         }
         Ok(out)
     }
@@ -133,6 +141,29 @@ impl Loops {
 /// Whether a constraint's `solref` is one of time constant and damping ratio, and quick.
 fn is_quick(solref: &[f64]) -> bool {
     solref[0] > 0.0 && solref[0] <= QUICK_S
+}
+
+/// Degrees of freedom that rows of a Jacobian tie together, in groups.
+fn tied(jacobian: &DMatrix<f64>) -> Vec<Vec<usize>> {
+    let mut of: Vec<usize> = (0..jacobian.ncols()).collect();
+    for row in jacobian.row_iter() {
+        let own: Vec<usize> = (row.iter().zip(&of))
+            .filter(|(value, _)| **value != 0.0)
+            .map(|(_, group)| *group)
+            .collect();
+        if let Some(&into) = own.iter().min() {
+            for group in &mut of {
+                if own.contains(group) {
+                    *group = into;
+                }
+            }
+        }
+    }
+    let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (dof, group) in of.into_iter().enumerate() {
+        groups.entry(group).or_default().push(dof);
+    }
+    groups.into_values().collect()
 }
 
 /// The least-norm solution of J d = b.

@@ -25,6 +25,7 @@
 //!
 //! Reference: Bock 1983, "Recent advances in parameter identification techniques for O.D.E.".
 
+mod apart;
 pub(crate) mod columns;
 mod conclude;
 mod descent;

@@ -3,10 +3,11 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::window::{Placed, State, Window};
-use crate::mujoco::{self, Data, Model};
+use crate::mujoco::{self, Contact, Data, Model};
 use crate::supplement::MEMORY_S;
 use crate::sysid::SysidError;
 use crate::sysid::problem::Problem;
+use crate::sysid::reach::Contacts;
 
 /// What the model makes of a window.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,6 +18,8 @@ pub(crate) struct Simulated {
     pub qpos: Vec<f64>,
     /// at the last knot
     pub end: State,
+    /// pairs of geoms that touch at some knot
+    pub contacts: Contacts,
 }
 
 impl Simulated {
@@ -121,6 +124,7 @@ impl<'a> Simulator<'a> {
         let mut sensors = vec![0.0; window.len() * n_channels];
         let mut qpos = Vec::with_capacity(window.len() * nq);
         let mut end = state.clone();
+        let mut contacts = Contacts::new();
         data.restore_state(initial)?;
         data.clear_warnings();
         data.qpos_mut().copy_from_slice(&state.qpos);
@@ -147,8 +151,14 @@ impl<'a> Simulator<'a> {
                 return Ok(None);
             }
             self::read(problem, &problem.model, data, row, true);
+            contacts.extend(data.contacts().iter().map(Contact::geoms));
         }
-        Ok(Some(Simulated { sensors, qpos, end }))
+        Ok(Some(Simulated {
+            sensors,
+            qpos,
+            end,
+            contacts,
+        }))
     }
 }
 
