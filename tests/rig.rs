@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use phantom::mujoco::{Data, Integrator, Model};
+use phantom::mujoco::{Data, Integrator, Model, ObjectKind};
 use phantom::policy::AffineGaussian;
 use phantom::recording::Recording;
 use phantom::rig::behaviour::{self, BEHAVIOURS, PolicyBehaviour};
@@ -347,6 +347,32 @@ fn nothing_of_the_truth_is_in_what_a_recording_says_of_itself() {
             .collect::<Vec<_>>()
     };
     assert_eq!(of(&recording), of(&paper));
+}
+
+#[test]
+fn the_true_model_has_what_the_engine_can_say_and_names_the_rest() {
+    let effects = "[[effect]]\nname = \"torque_gain\"\nwhere = \"p?_m3\"\ngain = -0.6\n\
+        [[effect]]\nname = \"coulomb_friction\"\nwhere = \"p0_upper\"\ntorque_nm = 0.03\n\
+        [[effect]]\nname = \"cogging\"\nwhere = \"p1_crank\"\namplitude_nm = 0.01\n";
+    let (model, lacking) = rig(config(effects)).true_model().expect("a model");
+    let nominal = phantom_model();
+    for motor in 0..model.nu() {
+        let factor = if motor % 3 == 2 { 0.4 } else { 1.0 };
+        let (own, before) = (
+            model.actuator_gear()[6 * motor],
+            nominal.actuator_gear()[6 * motor],
+        );
+        assert!(
+            (own - factor * before).abs() < 1e-12,
+            "motor {motor}: {own}"
+        );
+    }
+    let joint = model.id(ObjectKind::Joint, "p0_upper").expect("a joint");
+    assert_eq!(
+        model.dof_frictionloss()[model.jnt_dofadr()[joint] as usize],
+        0.03
+    );
+    assert_eq!(lacking, ["cogging"]);
 }
 
 #[test]

@@ -6,17 +6,19 @@ use crate::report::{
     Curve, Drawing, Figure, Panel, Panels, Report, Section, Stroke, Table, number,
 };
 
-/// Tracking errors against rounds, and what was identified in each. `references` are names with one figure a round.
+/// Tracking errors against rounds, and what was identified in each. `references` are names with one figure a round;
+/// `lacking` is what the model of the truth has not.
 pub fn report(
     config: &AdaptConfig,
     rounds: &[Round],
     references: &[(&str, Vec<Tracking>)],
+    lacking: &[&str],
 ) -> Report {
     let mut report = Report::new("Adaptation to a machine");
     let adapted: Vec<Tracking> = rounds.iter().map(|r| r.tracking.clone()).collect();
     let mut all: Vec<(&str, &[Tracking])> = vec![("adapted", &adapted)];
     all.extend(references.iter().map(|(name, t)| (*name, t.as_slice())));
-    report.sections.push(tracking(config, &all));
+    report.sections.push(tracking(config, &all, lacking));
     for round in rounds {
         if let Some(section) = identified(round) {
             report.sections.push(section);
@@ -25,7 +27,7 @@ pub fn report(
     report
 }
 
-fn tracking(config: &AdaptConfig, all: &[(&str, &[Tracking])]) -> Section {
+fn tracking(config: &AdaptConfig, all: &[(&str, &[Tracking])], lacking: &[&str]) -> Section {
     let objective = match config.objective {
         Objective::Mean => "the mean over the models".to_owned(),
         Objective::Epopt(share) => format!("the worst {} % of the trajectories", 100.0 * share),
@@ -53,11 +55,16 @@ fn tracking(config: &AdaptConfig, all: &[(&str, &[Tracking])]) -> Section {
             .curves
             .push(Curve::new(name, i, Stroke::Thick, points));
     }
-    let words = format!(
+    let mut words = format!(
         "Round 0 is the policy to begin with. Each round trains for {} iterations, for {objective}. `nominal` trains as \
          long on the nominal model, `truth` on the model of the rig's truth. The virtual rig stands in for a machine.",
         config.training.train.iterations
     );
+    if !lacking.is_empty() {
+        words.push_str(" No model of the engine has this of the truth: ");
+        words.push_str(&lacking.join(", "));
+        words.push('.');
+    }
     let figure = Figure {
         name: "tracking".to_owned(),
         title: "Tracking error on the machine".to_owned(),

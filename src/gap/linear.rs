@@ -9,11 +9,14 @@
 //! | Q, R | [`Row::basis`], [`Row::triangle`] |
 //! | r̃, J̃, Qᵀ J | [`Row::residual`], [`Row::parameters`], [`Row::along`] |
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DMatrix, DVector};
 
 use super::coarse;
 use super::windows::Windows;
 use crate::sysid::SysidError;
+use crate::sysid::islands::Partition;
 use crate::sysid::problem::Problem;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::loops::Loops;
@@ -61,6 +64,8 @@ pub(super) struct Linear {
     states: Vec<State>,
     /// of each window
     pub rows: Vec<Row>,
+    /// parts that nothing connects in any window
+    pub partition: Partition,
 }
 
 /// What a change of the model does to the rows of every window, and its squared length before projection.
@@ -99,10 +104,7 @@ impl Windows {
         let slow_placed = coarse::placed(&self.problem, &placed, longer);
         let pool = Pool::default();
         let states: Vec<State> = here.iter().map(|f| f.state.clone()).collect();
-        let directions = match Loops::new(&self.problem, x)? {
-            Some(mut loops) => loops.directions(&states)?,
-            None => Vec::new(),
-        };
+        let directions = self.directions(x, &states)?;
         let point = Point {
             problem: &slow,
             windows: &slow_windows,
@@ -116,6 +118,7 @@ impl Windows {
         let base: Option<Vec<Simulated>> = point.simulate()?.into_iter().collect();
         let base = base.ok_or_else(lost)?;
         let columns = point.columns(&base)?;
+        let contacts = base.iter().flat_map(|s| &s.contacts).copied().collect();
         let free = self.problem.free_values(x);
         let mut rows = Vec::with_capacity(windows.len());
         for (w, (columns, simulated)) in columns.iter().zip(&base).enumerate() {
@@ -159,12 +162,32 @@ impl Windows {
             });
         }
         Ok(Linear {
+            partition: Partition::new(&self.problem, &contacts),
             steps: factor,
             windows,
             placed,
             states,
             rows,
         })
+    }
+}
+
+impl Windows {
+    /// That first states may change along, see [`Point::directions`]; 0 for what lies still.
+    fn directions(&self, x: &[f64], states: &[State]) -> Result<Vec<DMatrix<f64>>, SysidError> {
+        let nv = self.problem.model.nv();
+        let mut all = match Loops::new(&self.problem, x)? {
+            Some(mut loops) => loops.directions(states)?,
+            None if self.still.iter().all(Vec::is_empty) => return Ok(Vec::new()),
+            None => vec![DMatrix::identity(2 * nv, 2 * nv); self.len()],
+        };
+        for (own, still) in all.iter_mut().zip(&self.still) {
+            for dof in still {
+                own.row_mut(*dof).fill(0.0);
+                own.row_mut(nv + dof).fill(0.0);
+            }
+        }
+        Ok(all)
     }
 }
 
@@ -198,6 +221,9 @@ pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) ->
     }
 }
 
+/// Per window (rows): change of the readings, whitened.
+pub(super) type Moved = Vec<Option<DVector<f64>>>;
+
 /// What makes the motion of windows.
 type Simulate<'a> = &'a mut dyn FnMut(&Point<'_>) -> Result<Vec<Option<Simulated>>, SysidError>;
 
@@ -226,29 +252,17 @@ fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 impl Linear {
-    /// What another model makes of the same windows, per unit of `size`; `held` has no free parameter. Only every
-    /// `stride`-th window is simulated, the others are 0.
+    /// What another model, without free parameters, makes of the windows `some`, whose motion `simulate` makes: change
+    /// of each row. None for other windows, and where it diverges: nothing can be said there.
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn column(
-        &self,
-        held: &Problem,
-        size: f64,
-        stride: usize,
-    ) -> Result<Column, SysidError> {
-        let some: Vec<usize> = (0..self.windows.len()).step_by(stride).collect();
-        self.moved(held, size, &some, &mut |point| point.simulate())
-    }
-
-    /// The same where `simulate` makes the motion of the windows `some`.
     pub(super) fn moved(
         &self,
         held: &Problem,
-        size: f64,
         some: &[usize],
         simulate: Simulate<'_>,
-    ) -> Result<Column, SysidError> {
+    ) -> Result<Moved, SysidError> {
         let longer = self.steps as f64;
         let slow = coarse::problem(held, longer)?;
         let windows = coarse::windows(&self.windows, longer);
@@ -267,23 +281,51 @@ impl Linear {
             directions: &[],
             pool: &pool,
         };
-        let mut parts: Vec<DVector<f64>> = (self.rows.iter())
-            .map(|row| DVector::zeros(row.residual.len()))
-            .collect();
-        let mut raw = 0.0;
+        let mut out: Moved = vec![None; self.rows.len()];
         for (k, simulated) in simulate(&point)?.into_iter().enumerate() {
-            let (w, row) = (some[k], &self.rows[some[k]]);
-            // where it diverges nothing can be said
             let Some(simulated) = simulated else { continue };
+            let row = &self.rows[some[k]];
             let moved = simulated.samples(&slow, &windows[k], &placed[k]);
-            for (i, (z, _)) in moved.enumerate() {
-                parts[w][i] = row.factor[i] * (z - row.predicted[i]) / size;
-            }
-            raw += parts[w].norm_squared();
-            let along = row.basis.tr_mul(&parts[w]);
-            parts[w] -= &row.basis * along;
+            let change =
+                (moved.enumerate()).map(|(i, (z, _))| row.factor[i] * (z - row.predicted[i]));
+            out[some[k]] = Some(DVector::from_iterator(row.residual.len(), change));
         }
-        Ok(Column { parts, raw })
+        Ok(out)
+    }
+
+    /// The column of what was moved, per unit of `size`; of rows of the parts `reached` if there are any.
+    pub(super) fn part_of(
+        &self,
+        moved: &Moved,
+        size: f64,
+        reached: Option<&BTreeSet<usize>>,
+    ) -> Column {
+        let mut raw = 0.0;
+        let shows = |channel: usize| match (reached, self.partition.channels[channel]) {
+            (None, _) => true,
+            (Some(parts), part) => part.is_some_and(|p| parts.contains(&p)),
+        };
+        let own = |(row, moved): (&Row, &Option<DVector<f64>>)| {
+            let Some(moved) = moved else {
+                return DVector::zeros(row.residual.len());
+            };
+            let value = |i: usize| {
+                if shows(row.channel[i]) {
+                    moved[i] / size
+                } else {
+                    0.0
+                }
+            };
+            let mut part = DVector::from_fn(moved.len(), |i, _| value(i));
+            raw += part.norm_squared();
+            let along = row.basis.tr_mul(&part);
+            part -= &row.basis * along;
+            part
+        };
+        Column {
+            parts: self.rows.iter().zip(moved).map(own).collect(),
+            raw,
+        }
     }
 
     /// Squared length of what happens to each channel, of rows per window.
@@ -321,7 +363,14 @@ impl Linear {
                 control.1 = 0.0;
             }
         }
-        Ok(Some(self.column(&still, 1.0, 1)?))
+        let all: Vec<usize> = (0..self.windows.len()).collect();
+        let moved = self.moved(&still, &all, &mut |point| point.simulate())?;
+        // elsewhere a solver's rounding would look like them
+        Ok(Some(self.part_of(
+            &moved,
+            1.0,
+            Some(&self.partition.driven),
+        )))
     }
 }
 

@@ -17,7 +17,7 @@ use super::result::Located;
 use super::score::two_sided;
 use super::screen::Screen;
 use super::windows::Windows;
-use crate::mujoco::{Data, Model, ObjectKind};
+use crate::mujoco::{Contact, Data, Model, ObjectKind};
 
 /// Speed below which a joint counts as at rest, as a part of its root mean square.
 const REST: f64 = 0.05;
@@ -42,8 +42,8 @@ pub(super) struct Missing {
     pub velocity: DMatrix<f64>,
     /// (windows × joints) motor force
     pub motor: DMatrix<f64>,
-    /// whether bodies touch
-    pub touching: Vec<bool>,
+    /// per window and joint: whether something touches what hangs together with the joint
+    pub touching: Vec<Vec<bool>>,
     /// s from the start of the recording
     pub time_s: Vec<f64>,
     /// stretch of each window
@@ -133,7 +133,13 @@ impl Missing {
                 velocity[(w, j)] = (last[*address] - first[*address]) / span;
                 motor[(w, j)] = data.qfrc_actuator()[*dof];
             }
-            touching.push(data.ncon() > 0);
+            let root = |body: i32| model.body_rootid()[body as usize];
+            let touched: Vec<i32> = (data.contacts().iter())
+                .flat_map(Contact::geoms)
+                .map(|geom| root(model.geom_bodyid()[geom]))
+                .collect();
+            let own = at.iter().map(|(_, dof)| root(model.dof_bodyid()[*dof]));
+            touching.push(own.map(|root| touched.contains(&root)).collect());
         }
         Ok(Self {
             units: own.iter().map(|(name, _)| unit(model, name)).collect(),
@@ -165,7 +171,9 @@ impl Missing {
                             .filter(|&w| {
                                 let v = speed[w].abs() / typical.max(f64::MIN_POSITIVE);
                                 let way = low == 0.0 || speed[w] * sign > 0.0;
-                                self.touching[w] == touching && (low..high).contains(&v) && way
+                                self.touching[w][joint] == touching
+                                    && (low..high).contains(&v)
+                                    && way
                             })
                             .collect();
                         // at rest there is no direction

@@ -55,13 +55,14 @@ impl Pulses {
         let all: Vec<usize> = (0..linear.windows.len()).collect();
         let mut columns = Vec::with_capacity(PARTS);
         for part in 0..PARTS {
-            columns.push(linear.moved(held, size, &all, &mut |point| {
+            let moved = linear.moved(held, &all, &mut |point| {
                 let steps = |w: usize| point.windows[w].len() - 1;
                 point.simulate_pushed(&all, &|w, knot, force| {
                     let inside = knot * PARTS / steps(w).max(1) == part;
                     force[dof] = if inside { size } else { 0.0 };
                 })
-            })?);
+            })?;
+            columns.push(linear.part_of(&moved, size, None));
         }
         let windows = linear.rows.iter().enumerate().map(|(w, row)| {
             let own: Vec<DVector<f64>> = columns.iter().map(|c| c.parts[w].clone()).collect();

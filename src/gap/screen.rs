@@ -4,8 +4,8 @@
 //! of its sizes, with the effect in the model and the first states as they are. Shapes that mean nothing without the
 //! effect are tried on their grid, those with many values first on a part of the windows, periods by [`super::pulse`].
 
-use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::GapError;
 use super::absorb::Absorb;
@@ -14,9 +14,8 @@ use super::linear::{Column, Linear};
 use super::model::{Built, Measured, Variant, variants};
 use super::pulse::{self, Pulses};
 use super::score::{Normal, Score};
+use super::together::Ask;
 use super::windows::Windows;
-use crate::sysid::parameter::Parameters;
-use crate::sysid::problem::Problem;
 use nalgebra::{DMatrix, DVector};
 
 /// More values of a grid than this are first tried on a part of the windows.
@@ -69,7 +68,10 @@ pub(super) struct Screen {
 }
 
 /// The point that columns are taken at.
-type At<'a> = (&'a Linear, &'a Absorb);
+pub(super) type At<'a> = (&'a Linear, &'a Absorb);
+
+/// A candidate's index with a variant and its columns.
+type Looked = (usize, Variant, Vec<Column>);
 
 /// What a screen looks at.
 pub(super) struct Look<'a> {
@@ -105,27 +107,35 @@ impl Look<'_> {
         let absorb = Absorb::new(&normal.0, parameters, self.x);
         let at = (&linear, &absorb);
         let mut pulses: BTreeMap<usize, Pulses> = BTreeMap::new();
+        let mut tried: Vec<(usize, Variant)> = Vec::new();
+        let mut many: Vec<(usize, Variant)> = Vec::new();
+        for (i, (effect, place)) in all.iter().enumerate() {
+            let scales = self.measured.scales(&self.built.file.model, place);
+            let mut own = variants(effect.about().parameters, &scales);
+            if effect.periodic().is_some() {
+                own = self.best_period(*effect, place, own, &linear, &mut pulses, &normal)?;
+            }
+            let few = own.len() <= FEW;
+            let list = if few { &mut tried } else { &mut many };
+            list.extend(own.into_iter().map(|variant| (i, variant)));
+        }
+        let grids: BTreeSet<usize> = many.iter().map(|(i, _)| *i).collect();
+        let n_many = many.len();
+        let of = n_many + tried.len() + grids.len();
+        let Some(looked) = self.columns(&all, many, at, PART, &mut |n| watch(n, of))? else {
+            return Ok(None);
+        };
+        tried.extend(best(looked, &linear, &prior));
+        tried.sort_by_key(|(i, _)| *i);
+        let Some(looked) = self.columns(&all, tried, at, 1, &mut |n| watch(n_many + n, of))? else {
+            return Ok(None);
+        };
         let mut columns: Vec<Column> = Vec::new();
         let mut found: Vec<(usize, Variant, Vec<usize>)> = Vec::new();
-        for (i, (effect, place)) in all.iter().enumerate() {
-            if !watch(i, all.len()) {
-                return Ok(None);
-            }
-            let scales = self.measured.scales(&self.built.file.model, place);
-            let mut tried = variants(effect.about().parameters, &scales);
-            if effect.periodic().is_some() {
-                tried = self.best_period(*effect, place, tried, &linear, &mut pulses, &normal)?;
-            } else if tried.len() > FEW {
-                tried = self.best(*effect, place, tried, at, &prior)?;
-            }
-            for variant in tried {
-                let Some((own, variant)) = self.columns(*effect, place, &variant, at, 1)? else {
-                    continue;
-                };
-                let from = columns.len();
-                columns.extend(own);
-                found.push((i, variant, (from..columns.len()).collect()));
-            }
+        for (i, variant, own) in looked {
+            let from = columns.len();
+            columns.extend(own);
+            found.push((i, variant, (from..columns.len()).collect()));
         }
         let mut normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
         for _ in 0..LOOKS {
@@ -181,6 +191,7 @@ impl Look<'_> {
             })
             .collect();
         best.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (mut asked, mut which) = (Vec::new(), Vec::new());
         for (_, k, expected) in best.into_iter().take(AGAIN) {
             let (i, variant, own) = &found[k];
             let (effect, place) = &all[*i];
@@ -202,9 +213,20 @@ impl Look<'_> {
                 }
                 let mut values = values.clone();
                 values[p] = beta;
-                if let Some(column) = self.column((*effect, place), &values, beta, at, 1)? {
-                    columns[*c] = column;
-                }
+                which.push(*c);
+                asked.push(Ask {
+                    effect: *effect,
+                    place: place.clone(),
+                    values,
+                    size: beta,
+                    stride: 1,
+                });
+            }
+        }
+        let answers = self.ask(&asked, at, &mut |_| true)?.unwrap_or_default();
+        for (c, column) in which.into_iter().zip(answers) {
+            if let Some(column) = column {
+                columns[c] = column;
             }
         }
         Ok(())
@@ -234,69 +256,61 @@ impl Look<'_> {
         !variety || dry
     }
 
-    /// Columns of a variant of which anything is left, and the parameter of each; nothing if the model cannot say it or
-    /// nothing of it shows.
+    /// Columns of variants of which anything is left, in every `stride`-th window, and the parameters that they stand
+    /// for; without variants that the model cannot say or of which nothing shows. `watch` is told how many are done;
+    /// nothing if it stops.
     fn columns(
         &self,
-        effect: &'static dyn Effect,
-        place: &Place,
-        variant: &Variant,
+        all: &[(&'static dyn Effect, Place)],
+        tried: Vec<(usize, Variant)>,
         at: At<'_>,
         stride: usize,
-    ) -> Result<Option<(Vec<Column>, Variant)>, GapError> {
-        let mut columns = Vec::new();
-        let mut seen = Variant {
-            columns: Vec::new(),
-            parameters: Vec::new(),
-        };
-        for ((size, values), parameter) in variant.columns.iter().zip(&variant.parameters) {
-            let Some(column) = self.column((effect, place), values, *size, at, stride)? else {
-                return Ok(None);
-            };
-            let left: f64 = column.parts.iter().map(DVector::norm_squared).sum();
-            if left > LEFT * column.raw && column.raw > 0.0 {
-                columns.push(column);
-                seen.columns.push((*size, values.clone()));
-                seen.parameters.push(*parameter);
+        watch: &mut dyn FnMut(usize) -> bool,
+    ) -> Result<Option<Vec<Looked>>, GapError> {
+        let (mut asked, mut variant_of) = (Vec::new(), Vec::new());
+        for (v, (i, variant)) in tried.iter().enumerate() {
+            let (effect, place) = &all[*i];
+            for (size, values) in &variant.columns {
+                variant_of.push(v);
+                asked.push(Ask {
+                    effect: *effect,
+                    place: place.clone(),
+                    values: values.clone(),
+                    size: *size,
+                    stride,
+                });
             }
         }
-        Ok((!columns.is_empty()).then_some((columns, seen)))
-    }
-
-    /// What an effect does, per unit of `size`, where the parameters absorb what they can of it; nothing if the model
-    /// cannot say it.
-    fn column(
-        &self,
-        (effect, place): (&'static dyn Effect, &Place),
-        values: &[f64],
-        size: f64,
-        (linear, absorb): At<'_>,
-        stride: usize,
-    ) -> Result<Option<Column>, GapError> {
-        let Some(problem) = self.with(effect, place, values) else {
+        let mut done = |n: usize| watch(variant_of.get(n).map_or(tried.len(), |v| *v));
+        let Some(answers) = self.ask(&asked, at, &mut done)? else {
             return Ok(None);
         };
-        let column = linear.column(&self.windows.held(&problem, self.x), size, stride)?;
-        let Some(dx) = absorb.moved(linear, &column, size) else {
-            return Ok(Some(column));
-        };
-        let x: Vec<f64> = self.x.iter().zip(&dx).map(|(x, d)| x + d).collect();
-        let again = linear.column(&self.windows.held(&problem, &x), size, stride)?;
-        Ok(Some(again.without(linear, &dx, size)))
-    }
-
-    /// The problem with an effect.
-    fn with(&self, effect: &'static dyn Effect, place: &Place, values: &[f64]) -> Option<Problem> {
-        // what a place cannot carry is no candidate there
-        let written = effect::write(&self.built.file, effect, place, values).ok()?;
-        let problem = &self.windows.problem;
-        let names: Vec<String> = problem.channels.iter().map(|c| c.name.clone()).collect();
-        let parameters = Parameters::new(&written.file.model, &self.built.rules, &names).ok()?;
-        Some(Problem {
-            model: written.file.model,
-            parameters,
-            ..problem.clone()
-        })
+        let mut answers = answers.into_iter();
+        let mut out = Vec::new();
+        for (i, variant) in tried {
+            let own: Vec<Option<Column>> = answers.by_ref().take(variant.columns.len()).collect();
+            if own.iter().any(Option::is_none) {
+                continue;
+            }
+            let mut seen = Variant {
+                columns: Vec::new(),
+                parameters: Vec::new(),
+            };
+            let mut columns = Vec::new();
+            let each = variant.columns.into_iter().zip(variant.parameters);
+            for ((said, parameter), column) in each.zip(own.into_iter().flatten()) {
+                let left: f64 = column.parts.iter().map(DVector::norm_squared).sum();
+                if left > LEFT * column.raw && column.raw > 0.0 {
+                    columns.push(column);
+                    seen.columns.push(said);
+                    seen.parameters.push(parameter);
+                }
+            }
+            if !columns.is_empty() {
+                out.push((i, seen, columns));
+            }
+        }
+        Ok(Some(out))
     }
 
     /// The best period of many.
@@ -327,40 +341,30 @@ impl Look<'_> {
             .filter(|v| best == Some(period(v)))
             .collect())
     }
+}
 
-    /// The best of many variants by a part of the windows.
-    fn best(
-        &self,
-        effect: &'static dyn Effect,
-        place: &Place,
-        tried: Vec<Variant>,
-        at: At<'_>,
-        prior: &[(f64, f64)],
-    ) -> Result<Vec<Variant>, GapError> {
-        let linear = at.0;
-        let mut best: Option<(f64, Variant)> = None;
-        for variant in tried {
-            let Some((own, _)) = self.columns(effect, place, &variant, at, PART)? else {
-                continue;
-            };
-            let some: Vec<usize> = (0..linear.rows.len()).step_by(PART).collect();
-            let rows: Vec<_> = some.iter().map(|w| linear.rows[*w].clone()).collect();
-            let parts: Vec<Column> = (own.iter())
-                .map(|c| Column {
-                    parts: some.iter().map(|w| c.parts[*w].clone()).collect(),
-                    raw: c.raw,
-                })
-                .collect();
-            let normal = Normal::new(&rows, &parts, &vec![0; rows.len()], prior);
-            let gain = normal
-                .gain(&(0..parts.len()).collect::<Vec<_>>())
-                .map_or(0.0, |g| g.0);
-            if best.as_ref().is_none_or(|(g, _)| gain > *g) {
-                best = Some((gain, variant));
-            }
+/// The best variant of each candidate by a part of the windows, with all that it consists of.
+fn best(looked: Vec<Looked>, linear: &Linear, prior: &[(f64, f64)]) -> Vec<(usize, Variant)> {
+    let some: Vec<usize> = (0..linear.rows.len()).step_by(PART).collect();
+    let rows: Vec<_> = some.iter().map(|w| linear.rows[*w].clone()).collect();
+    let mut best: BTreeMap<usize, (f64, Variant)> = BTreeMap::new();
+    for (i, variant, own) in looked {
+        let parts: Vec<Column> = (own.iter())
+            .map(|c| Column {
+                parts: some.iter().map(|w| c.parts[*w].clone()).collect(),
+                raw: c.raw,
+            })
+            .collect();
+        let normal = Normal::new(&rows, &parts, &vec![0; rows.len()], prior);
+        let gain = normal
+            .gain(&(0..parts.len()).collect::<Vec<_>>())
+            .map_or(0.0, |g| g.0);
+        if best.get(&i).is_none_or(|(g, _)| gain > *g) {
+            best.insert(i, (gain, variant));
         }
-        Ok(best.into_iter().map(|(_, v)| v).collect())
     }
+    let each = best.into_iter();
+    each.map(|(i, (_, variant))| (i, variant)).collect()
 }
 
 #[allow(clippy::too_many_arguments)] // what a candidate is made of

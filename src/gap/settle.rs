@@ -8,7 +8,7 @@
 //! ds = −(RᵀR + λ D)⁻¹ Rᵀ Qᵀ r        until ½ |Qᵀ r|² is a small part of the mean window's cost
 //! ```
 //!
-//! with Q, R of [`super::linear`], at the window's own point.
+//! with Q, R of [`super::linear`], at the window's own point, or from where it was measured if that is nearer.
 
 use super::fit::Followed;
 use super::linear::{Linear, Row, damped};
@@ -42,6 +42,16 @@ impl Windows {
         }
         let mut held = self.clone();
         held.problem = self.held(&self.problem, x);
+        // steps for another model may have led a window astray
+        if let Ok(found) = held.simulate_some(&[], &self.measured, &left) {
+            for (&w, found) in left.iter().zip(found) {
+                if let Some(found) = found
+                    && found.cost < here[w].cost
+                {
+                    here[w] = found;
+                }
+            }
+        }
         held.states = here.iter().map(|f| f.state.clone()).collect();
         let mut damping = vec![FIRST_DAMPING; here.len()];
         for _ in 0..STEPS {

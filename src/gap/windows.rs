@@ -16,6 +16,7 @@
 //! | r̃ | [`super::linear::Row::residual`] |
 
 use super::coarse;
+use super::lying::Lying;
 use crate::mujoco::Model;
 use crate::sysid::SysidError;
 use crate::sysid::holdout::hold;
@@ -43,6 +44,10 @@ pub(super) struct Windows {
     pub trajectories: Vec<Vec<f64>>,
     /// first state of each window
     pub states: Vec<State>,
+    /// the same as it was measured
+    pub measured: Vec<State>,
+    /// of each window: degrees of freedom of which it says nothing, see [`super::lying`]
+    pub still: Vec<Vec<usize>>,
     /// s
     pub length_s: f64,
     /// steps of the model that derivatives take at once, see [`super::coarse`]
@@ -114,7 +119,8 @@ impl Windows {
             trials: Vec::new(),
             ..whole.clone()
         };
-        let (mut origin, mut trajectories) = (Vec::new(), Vec::new());
+        let (mut origin, mut trajectories, mut still) = (Vec::new(), Vec::new(), Vec::new());
+        let mut lying = Lying::new(whole, x)?;
         let mut seen = 0;
         for (i, trial) in whole.trials.iter().enumerate() {
             let motion = start::trajectory(whole, trial, x)?;
@@ -126,13 +132,17 @@ impl Windows {
                 if seen % stride != 0 {
                     continue;
                 }
-                let part = part(whole, trial, first, last);
+                let mut part = part(whole, trial, first, last);
+                let own = &motion[first * nq..(last + 1) * nq];
+                let lies = lying.of(&part, own)?;
+                part.samples.retain(|s| !lies.channels.contains(&s.channel));
                 if part.samples.is_empty() {
                     continue;
                 }
                 problem.trials.push(part);
                 origin.push((i, trial.start_s + first as f64 * h));
-                trajectories.push(motion[first * nq..(last + 1) * nq].to_vec());
+                trajectories.push(own.to_vec());
+                still.push(lies.dofs);
             }
         }
         let mut cut = Self {
@@ -140,12 +150,15 @@ impl Windows {
             origin,
             trajectories,
             states: Vec::new(),
+            measured: Vec::new(),
+            still,
             length_s,
             factor: 1,
         };
         cut.states = (cut.windows().iter().zip(&cut.trajectories))
             .map(|(w, t)| State::on(&cut.problem, w, t))
             .collect::<Result<_, _>>()?;
+        cut.measured.clone_from(&cut.states);
         Ok(cut)
     }
 
@@ -162,6 +175,8 @@ impl Windows {
             origin: kept.iter().map(|&i| self.origin[i]).collect(),
             trajectories: kept.iter().map(|&i| self.trajectories[i].clone()).collect(),
             states: kept.iter().map(|&i| self.states[i].clone()).collect(),
+            measured: kept.iter().map(|&i| self.measured[i].clone()).collect(),
+            still: kept.iter().map(|&i| self.still[i].clone()).collect(),
             length_s: self.length_s,
             factor: self.factor,
         }

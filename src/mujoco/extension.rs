@@ -64,6 +64,11 @@ pub trait Extension: std::fmt::Debug + Send + Sync {
 
     /// Position and velocity of a hinge or slide as its encoder shows them.
     fn encoder(&self, data: &Data, memory: &[f64], joint: usize) -> [f64; 2];
+
+    /// Whether trees that nothing of the engine ties together, contacts included, feel nothing of each other by it either.
+    fn is_local(&self) -> bool {
+        false
+    }
 }
 
 /// An extension at work in one simulation.

@@ -151,8 +151,8 @@ pub(super) fn effects(model: &Model, bound: &[Bound]) -> (Vec<TrueEffect>, Vec<T
     (effects, rows)
 }
 
-/// The machine as a model with the step and the integrator of `nominal`, and the effects that are not in it. Joint friction,
-/// which the rig has as torques, is there as the engine's own.
+/// The machine as a model with the step and the integrator of `nominal`, and the effects that are not in it. Joint friction
+/// and torque gains, which the rig has as torques, are there as the engine's own.
 pub(super) fn as_model(
     nominal: &Model,
     truth: &Model,
@@ -167,23 +167,27 @@ pub(super) fn as_model(
     edit.set_option(&option)?;
     for bound in bound {
         let entry = bound.effect.entry();
-        for &joint in &bound.elements {
+        for &id in &bound.elements {
             match bound.effect {
                 Effect::ViscousFriction => {
-                    let dof = edit.model().jnt_dofadr()[joint] as usize;
+                    let dof = edit.model().jnt_dofadr()[id] as usize;
                     edit.dof_damping()[dof] += bound.values[0];
                 }
                 Effect::CoulombFriction => {
-                    let dof = edit.model().jnt_dofadr()[joint] as usize;
+                    let dof = edit.model().jnt_dofadr()[id] as usize;
                     edit.dof_frictionloss()[dof] += bound.values[0];
                 }
+                Effect::TorqueGain => edit.actuator_gear()[6 * id] *= 1.0 + bound.values[0],
                 _ => {}
             }
         }
         let torque = matches!(entry.place, Place::Joint | Place::Actuator);
         let in_model = matches!(
             bound.effect,
-            Effect::ViscousFriction | Effect::CoulombFriction | Effect::RotorInertia
+            Effect::ViscousFriction
+                | Effect::CoulombFriction
+                | Effect::RotorInertia
+                | Effect::TorqueGain
         );
         let sensed = matches!(bound.effect, Effect::EncoderOffset | Effect::EncoderScale);
         if (torque && !in_model && !sensed) || bound.effect == Effect::TorsionalFriction {

@@ -178,6 +178,11 @@ impl Term {
 }
 
 impl Extension for Supplement {
+    /// Every law acts on one joint, by one actuator, in contacts or on readings.
+    fn is_local(&self) -> bool {
+        true
+    }
+
     fn memory_len(&self, model: &Model) -> usize {
         let timestep = model.timestep();
         self.terms.iter().map(|t| t.law.memory_len(timestep)).sum()

@@ -57,18 +57,22 @@ pub(super) struct Islands {
 
 /// What belongs together, by the name of its part: the first of its trees.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Partition {
+pub(crate) struct Partition {
     /// of each degree of freedom
     pub dofs: Vec<usize>,
     /// of each channel; none: it depends on no tree
     pub channels: Vec<Option<usize>>,
     /// parts that each parameter, free or not, reaches
     pub parameters: Vec<BTreeSet<usize>>,
+    /// parts that have an actuator
+    pub driven: BTreeSet<usize>,
+    /// parts that feel a change of each body
+    pub bodies: Vec<BTreeSet<usize>>,
 }
 
 impl Partition {
     /// Where `contacts` are all pairs of geoms that touch.
-    pub(super) fn new(problem: &Problem, contacts: &Contacts) -> Self {
+    pub(crate) fn new(problem: &Problem, contacts: &Contacts) -> Self {
         let model = &*problem.model;
         let reach = Reach::new(model, contacts);
         let channels: Vec<Trees> = (problem.channels.iter())
@@ -80,6 +84,13 @@ impl Partition {
             trees.iter().map(|t| part_of[*t]).collect()
         });
         Self {
+            bodies: (0..model.nbody())
+                .map(|b| reach.changed(b).iter().map(|t| part_of[*t]).collect())
+                .collect(),
+            driven: (0..model.nu())
+                .flat_map(|a| reach.actuator(a))
+                .map(|tree| part_of[tree])
+                .collect(),
             dofs: (0..model.nv()).map(|d| part_of[reach.of_dof(d)]).collect(),
             parameters: parameters.collect(),
             channels: (channels.iter())

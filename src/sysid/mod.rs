@@ -35,7 +35,7 @@ pub mod holdout;
 pub(crate) mod instrument;
 pub mod interval;
 pub mod inverse;
-mod islands;
+pub(crate) mod islands;
 pub mod joint;
 pub mod leave_out;
 mod likelihood;

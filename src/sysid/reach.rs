@@ -69,8 +69,8 @@ impl<'a> Reach<'a> {
 
     /// Sets of trees that feel each other.
     pub(super) fn tied(&self) -> Vec<Trees> {
-        if self.model.extension().is_some() {
-            return vec![self.all()]; // supplements may act on anything
+        if self.model.extension().is_some_and(|e| !e.is_local()) {
+            return vec![self.all()]; // it may act on anything
         }
         let model = self.model;
         let mut out: Vec<Trees> = self.ties().map(|bodies| self.trees(&bodies)).collect();
@@ -143,7 +143,7 @@ impl<'a> Reach<'a> {
     }
 
     /// Trees that feel a change of body `b`.
-    fn changed(&self, b: usize) -> Trees {
+    pub(super) fn changed(&self, b: usize) -> Trees {
         let mut out = self.below(b);
         let borne = (self.bearing.iter()).filter(|(fixed, _)| self.is_below(*fixed, b));
         out.extend(borne.map(|(_, tree)| *tree));

@@ -141,11 +141,18 @@ impl AdaptArgs {
             println!("stopped; the same command goes on");
             return Ok(ExitCode::FAILURE);
         };
-        let page = report(&adaptation.config, &rounds, &references);
+        let lacking = if references.is_empty() {
+            Vec::new()
+        } else {
+            let truth = adaptation.rig.true_model();
+            truth.map_err(AdaptError::from)?.1
+        };
+        let page = report(&adaptation.config, &rounds, &references, &lacking);
         let result = json!({
             "provenance": Provenance::capture(adaptation.threads, std::env::args()),
             "config": adaptation.config,
             "truth": adaptation.rig.truth(),
+            "truth_model_lacks": lacking,
             "rounds": rounds,
             "references": references.iter().map(|(name, t)| json!({"name": name, "tracking": t})).collect::<Vec<_>>(),
         });

@@ -74,7 +74,7 @@ impl Place {
     }
 
     /// Its body: itself, that of its joint or geom.
-    pub(super) fn body(&self, model: &Model) -> Option<usize> {
+    pub(in crate::gap) fn body(&self, model: &Model) -> Option<usize> {
         match self.kind {
             PlaceKind::Body => self.id(model),
             PlaceKind::Geom => Some(model.geom_bodyid()[self.id(model)?] as usize),

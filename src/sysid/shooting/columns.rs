@@ -397,19 +397,17 @@ mod tests {
         let found = point.columns(&base).expect("columns");
         for j in 0..point.n_state() + x.len() {
             let mut moved = (states.to_vec(), x.clone());
-            let step = match j.checked_sub(point.n_state()) {
-                Some(j) => {
-                    let typical = problem.parameters.iter_free().nth(j).expect("one").typical;
-                    moved.1[j] += STEP_PARAMETER * typical;
-                    STEP_PARAMETER * typical
+            let step = if let Some(j) = j.checked_sub(point.n_state()) {
+                let own = problem.parameters.iter_free().nth(j);
+                let step = STEP_PARAMETER * own.expect("a parameter").typical;
+                moved.1[j] += step;
+                step
+            } else {
+                for (w, state) in moved.0.iter_mut().enumerate() {
+                    let along = directions[w].column(j) * STEP_POSITION;
+                    *state = state.moved(&problem, along.as_slice()).expect("moved");
                 }
-                None => {
-                    for (w, state) in moved.0.iter_mut().enumerate() {
-                        let along = directions[w].column(j) * STEP_POSITION;
-                        *state = state.moved(&problem, along.as_slice()).expect("moved");
-                    }
-                    STEP_POSITION
-                }
+                STEP_POSITION
             };
             let alone = simulate(Point {
                 x: &moved.1,

@@ -1,0 +1,101 @@
+//! Bodies that lie still while nothing that moves touches them.
+//!
+//! A free body at rest beside the machine says only that gravity and what it lies on are in balance, while its twelve
+//! unknowns and its stiff contacts take most of the time of every derivative. In such windows its readings are left out,
+//! and its first state stays where it was measured.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use crate::mujoco::{Contact, Data, Model};
+use crate::sysid::SysidError;
+use crate::sysid::islands::Partition;
+use crate::sysid::problem::{Problem, Sample, Stage, Trial};
+
+/// `mjJNT_FREE`
+const FREE: i32 = 0;
+/// Knots of the motion that are looked at for contacts: every so many-th.
+const EVERY: usize = 4;
+/// Standard deviations that a reading may be off its mean at rest.
+const AWAY: f64 = 5.0;
+/// Standard deviations between the means of both halves of a window.
+const DRIFT: f64 = 1.0;
+
+/// Finds what lies still in windows of the motion at some parameters.
+pub(super) struct Lying<'a> {
+    problem: &'a Problem,
+    data: Data,
+}
+
+/// Degrees of freedom, and the channels that show them.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Still {
+    pub dofs: Vec<usize>,
+    pub channels: BTreeSet<usize>,
+}
+
+impl<'a> Lying<'a> {
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn new(problem: &'a Problem, x: &[f64]) -> Result<Self, SysidError> {
+        let mut data = Data::new(Arc::clone(&problem.model))?;
+        problem.parameters.apply(&problem.model, x, &mut data)?;
+        Ok(Self { problem, data })
+    }
+
+    /// What lies still in the window `trial`, whose motion is estimated as `motion` (knots × nq).
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn of(&mut self, trial: &Trial, motion: &[f64]) -> Result<Still, SysidError> {
+        let model = &*self.problem.model;
+        let mut contacts = BTreeSet::new();
+        for qpos in motion.chunks_exact(model.nq()).step_by(EVERY) {
+            self.data.qpos_mut().copy_from_slice(qpos);
+            self.data.position_stage()?;
+            contacts.extend(self.data.contacts().iter().map(Contact::geoms));
+        }
+        let partition = Partition::new(self.problem, &contacts);
+        let mut still = Still::default();
+        for part in partition.dofs.iter().copied().collect::<BTreeSet<_>>() {
+            let dofs: Vec<usize> = (0..model.nv())
+                .filter(|d| partition.dofs[*d] == part)
+                .collect();
+            let channels: BTreeSet<usize> = (0..partition.channels.len())
+                .filter(|c| partition.channels[*c] == Some(part))
+                .collect();
+            let free = dofs.iter().all(|d| is_free(model, *d));
+            if free && !partition.driven.contains(&part) && self.rests(trial, &channels) {
+                still.dofs.extend(dofs);
+                still.channels.extend(channels);
+            }
+        }
+        Ok(still)
+    }
+
+    /// Whether positions are among the channels, and none of them moves.
+    fn rests(&self, trial: &Trial, channels: &BTreeSet<usize>) -> bool {
+        let mut any = false;
+        for &c in channels {
+            let channel = &self.problem.channels[c];
+            let own: Vec<&Sample> = trial.samples.iter().filter(|s| s.channel == c).collect();
+            if channel.stage != Stage::Position || own.len() < 2 {
+                continue;
+            }
+            any = true;
+            let mean =
+                |part: &[&Sample]| part.iter().map(|s| s.value).sum::<f64>() / part.len() as f64;
+            let (all, halves) = (mean(&own), own.split_at(own.len() / 2));
+            let away = |s: &&Sample| (s.value - all).abs() > AWAY * channel.sigma * s.spread;
+            let drift = (mean(halves.1) - mean(halves.0)).abs();
+            if own.iter().any(away) || drift > DRIFT * channel.sigma {
+                return false;
+            }
+        }
+        any
+    }
+}
+
+fn is_free(model: &Model, dof: usize) -> bool {
+    model.jnt_type()[model.dof_jntid()[dof] as usize] == FREE
+}
