@@ -59,6 +59,26 @@ const COMMON: [&str; 11] = [
 ];
 
 #[test]
+fn settings_that_are_not_given_stay_those_of_the_loop() {
+    let given =
+        "rounds = 1\n[training.train]\niterations = 7\n[training.npg]\nfisher_damping = 0.2\n";
+    let config: AdaptConfig = toml::from_str(given).expect("settings");
+    let mut expected = AdaptConfig {
+        rounds: 1,
+        ..AdaptConfig::default()
+    };
+    expected.training.train.iterations = 7;
+    expected.training.npg.fisher_damping = 0.2;
+    assert_eq!(config, expected);
+    let wrong = toml::from_str::<AdaptConfig>("[training.npg]\ndamping = 0.2\n");
+    let message = wrong.expect_err("no such setting").to_string();
+    assert!(
+        message.contains("`damping`") && message.contains("fisher_damping"),
+        "{message}"
+    );
+}
+
+#[test]
 fn a_round_finds_the_mass_and_leaves_what_is_needed() {
     let folder = folder();
     let run = |more: &[&str]| phantom(folder.path(), &[&COMMON[..], more].concat());

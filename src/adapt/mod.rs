@@ -31,7 +31,9 @@ pub use round::{FindMissing, Reference, Round, Search, Tracking, Watch};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
 use thiserror::Error;
 
 use crate::compare::CompareError;
@@ -96,8 +98,30 @@ pub struct AdaptConfig {
     pub objective: Objective,
     /// spirals on the machine after each round
     pub rollouts: usize,
+    /// train each round from a policy that does nothing, not from that of the round before
+    pub from_scratch: bool,
     /// settings of the training of each round; `training.train.seed` is that of everything drawn
+    #[serde(deserialize_with = "over_own")]
     pub training: TrainConfig,
+}
+
+/// Settings of training of which what is not given is this loop's own, not that of a first training.
+fn over_own<'de, D: Deserializer<'de>>(given: D) -> Result<TrainConfig, D::Error> {
+    fn put(into: &mut Value, given: Value) {
+        match (into, given) {
+            (Value::Object(into), Value::Object(given)) => {
+                for (key, value) in given {
+                    put(into.entry(key).or_insert(Value::Null), value);
+                }
+            }
+            (into, given) => *into = given,
+        }
+    }
+    let given = Value::deserialize(given)?;
+    let own = AdaptConfig::default().training;
+    let mut all = serde_json::to_value(own).map_err(D::Error::custom)?;
+    put(&mut all, given);
+    serde_json::from_value(all).map_err(D::Error::custom)
 }
 
 impl Default for AdaptConfig {
@@ -122,6 +146,7 @@ impl Default for AdaptConfig {
             models: 16,
             objective: Objective::Mean,
             rollouts: 5,
+            from_scratch: false,
             training,
         }
     }

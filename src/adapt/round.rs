@@ -352,7 +352,9 @@ impl Adaptation {
         config.train.seed += SEEDS * number as u64;
         config.ensemble = ensemble;
         let mut trainer = Trainer::new(model, config, self.threads)?;
-        trainer.begin_with(begin.clone())?;
+        if !self.config.from_scratch {
+            trainer.begin_with(begin.clone())?;
+        }
         let folder = folder.join("policy");
         Ok(train_in(&folder, path, trainer, &mut |_, _| {
             watch.advanced()
