@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::effects::{Bound, Effect, Place, kind};
-use crate::mujoco::{Model, MujocoError, ObjectKind};
+use crate::mujoco::{Model, ModelEdit, MujocoError, ObjectKind};
 
 /// The sealed truth of one machine.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -151,8 +151,23 @@ pub(super) fn effects(model: &Model, bound: &[Bound]) -> (Vec<TrueEffect>, Vec<T
     (effects, rows)
 }
 
-/// The machine as a model with the step and the integrator of `nominal`, and the effects that are not in it. Joint friction
-/// and torque gains, which the rig has as torques, are there as the engine's own.
+/// Stiffness of a spring that is pulled so far that its torque is constant, N m/rad.
+const SOFT: f64 = 1e-6;
+
+/// Adds a spring of `stiffness` about `rest` to a joint that may have one.
+fn add_spring(edit: &mut ModelEdit<'_>, joint: usize, stiffness: f64, rest: f64) {
+    let address = edit.model().jnt_qposadr()[joint] as usize;
+    let before = edit.model().jnt_stiffness()[joint];
+    let own = edit.model().qpos_spring()[address];
+    let both = before + stiffness;
+    if both != 0.0 {
+        edit.jnt_stiffness()[joint] = both;
+        edit.qpos_spring()[address] = (before * own + stiffness * rest) / both;
+    }
+}
+
+/// The machine as a model with the step and the integrator of `nominal`, and the effects that are not in it. Joint friction,
+/// springs, constant torques and torque gains, which the rig has as torques, are there as the engine's own.
 pub(super) fn as_model(
     nominal: &Model,
     truth: &Model,
@@ -178,6 +193,8 @@ pub(super) fn as_model(
                     edit.dof_frictionloss()[dof] += bound.values[0];
                 }
                 Effect::TorqueGain => edit.actuator_gear()[6 * id] *= 1.0 + bound.values[0],
+                Effect::JointSpring => add_spring(&mut edit, id, bound.values[0], bound.values[1]),
+                Effect::TorqueOffset => add_spring(&mut edit, id, SOFT, bound.values[0] / SOFT),
                 _ => {}
             }
         }
@@ -188,6 +205,8 @@ pub(super) fn as_model(
                 | Effect::CoulombFriction
                 | Effect::RotorInertia
                 | Effect::TorqueGain
+                | Effect::JointSpring
+                | Effect::TorqueOffset
         );
         let sensed = matches!(bound.effect, Effect::EncoderOffset | Effect::EncoderScale);
         if (torque && !in_model && !sensed) || bound.effect == Effect::TorsionalFriction {
