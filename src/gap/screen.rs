@@ -1,8 +1,9 @@
 //! Every effect at every place: what it would explain.
 //!
 //! The motion is linearised once ([`super::linear`]); a candidate then costs one simulation of all windows for each
-//! of its sizes, with the effect in the model and the first states as they are. Shapes that mean nothing without the
-//! effect are tried on their grid, those with many values first on a part of the windows, periods by [`super::pulse`].
+//! of its sizes, with the effect in the model and the first states as they are, shared with candidates of other parts
+//! where it can be ([`super::together`]). Shapes that mean nothing without the effect are tried on their grid, those with
+//! many values first on a part of the windows, periods by [`super::pulse`].
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
@@ -110,6 +111,9 @@ impl Look<'_> {
         let mut tried: Vec<(usize, Variant)> = Vec::new();
         let mut many: Vec<(usize, Variant)> = Vec::new();
         for (i, (effect, place)) in all.iter().enumerate() {
+            if !watch(0, all.len()) {
+                return Ok(None);
+            }
             let scales = self.measured.scales(&self.built.file.model, place);
             let mut own = variants(effect.about().parameters, &scales);
             if effect.periodic().is_some() {
