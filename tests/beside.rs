@@ -1,13 +1,10 @@
 //! Machines that nothing connects are searched as if each were alone.
 
-use std::sync::Arc;
+mod common;
 
-use phantom::compare::Settings;
+use common::driven::{self, FRICTION, search};
 use phantom::gap::effect::ModelFile;
-use phantom::gap::{self, Input, Options};
-use phantom::mujoco::Data;
-use phantom::recording::{Channel, Kind, Meta, Recording, Stream};
-use phantom::rng::{self, Purpose};
+use phantom::recording::Recording;
 
 /// Two pendulums with motors, and a ball that lies still beside them.
 const MACHINES: &str = r#"<mujoco>
@@ -32,8 +29,6 @@ const MACHINES: &str = r#"<mujoco>
     <framepos name="place" objtype="body" objname="ball"/>
   </sensor>
 </mujoco>"#;
-const FRICTION: &str =
-    r#"frictionloss="0.05" solreffriction="0.002 1" solimpfriction="0.99 0.99 0.001""#;
 /// rad
 const NOISE: f64 = 5e-5;
 /// m
@@ -46,73 +41,18 @@ fn file(dry: &str) -> ModelFile {
 
 /// Six seconds under several sines.
 fn record(dry: &str, seed: u64) -> (String, Recording) {
-    let mut data = Data::new(Arc::clone(&file(dry).model)).expect("data");
-    let mut rng = rng::stream(seed, Purpose::SensorNoise, 0, 0);
-    let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
-        name: name.into(),
-        kind,
-        unit: unit.into(),
-        noise_sigma,
-    };
-    let sensor = |name, unit, sigma| channel(name, Kind::Sensor, unit, Some(sigma));
-    let mut stream = Stream::new(
-        "all",
-        Some(1000.0),
-        vec![
-            sensor("angle_a", "rad", NOISE),
-            sensor("angle_b", "rad", NOISE),
-            sensor("place[0]", "m", PLACE_NOISE),
-            sensor("place[1]", "m", PLACE_NOISE),
-            sensor("place[2]", "m", PLACE_NOISE),
-            channel("drive_a", Kind::Control, "N m", None),
-            channel("drive_b", Kind::Control, "N m", None),
-        ],
-    );
-    for k in 0..6000_i64 {
-        let t = k as f64 * 1e-3;
-        let torque = |phase: f64| {
-            0.4 * (3.1 * t + phase).sin()
-                + 0.3 * (7.3 * t + 2.0 * phase).sin()
-                + 0.1 * (23.0 * t + phase).sin()
-        };
-        let torques = [torque(seed as f64), torque(seed as f64 + 0.5)];
-        let mut row: Vec<f64> = data.qpos()[..5].to_vec();
-        for (value, sigma) in
-            row.iter_mut()
-                .zip([NOISE, NOISE, PLACE_NOISE, PLACE_NOISE, PLACE_NOISE])
-        {
-            *value += sigma * rng::normal(&mut rng);
-        }
-        row.extend(torques);
-        stream.push(k * 1_000_000, &row);
-        data.ctrl_mut().copy_from_slice(&torques);
-        data.step().expect("step");
-    }
-    let recording = Recording {
-        meta: Meta::default(),
-        streams: vec![stream],
-    };
-    (format!("{seed}"), recording)
+    let place = ["place[0]", "place[1]", "place[2]"].map(|name| (name, "m", PLACE_NOISE));
+    let angles = ["angle_a", "angle_b"].map(|name| (name, "rad", NOISE));
+    let positions = [angles.as_slice(), &place].concat();
+    let phase = seed as f64;
+    let motors = [("drive_a", phase), ("drive_b", phase + 0.5)];
+    driven::record(&file(dry).model, seed, 6000, &positions, &motors)
 }
 
 #[test]
 fn friction_of_one_machine_is_found_there_and_a_ball_at_rest_tells_nothing() {
-    let rules = "[[parameter]]\nelement = \"body/?\"\nattribute = \"mass\"\nprior_sigma = 0.1\n";
-    let config = toml::from_str(rules).expect("a configuration");
     let (train, holdout) = ([record(FRICTION, 1)], [record(FRICTION, 101)]);
-    let input = Input {
-        model: &file(""),
-        config: &config,
-        train: &train,
-        holdout: &holdout,
-        protocol: &Settings {
-            cutoff_hz: Some(30.0),
-            ..Settings::default()
-        },
-    };
-    let answer = gap::run(&input, &Options::default(), &mut |_, _, _| true)
-        .unwrap_or_else(|e| panic!("{e}"))
-        .answer;
+    let answer = search(&file(""), "?", &train, &holdout).answer;
     let found: Vec<_> = answer
         .effects
         .iter()

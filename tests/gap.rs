@@ -4,13 +4,13 @@ mod common;
 
 use std::sync::Arc;
 
+use common::driven::{self, FRICTION, channel, config};
 use phantom::compare::Settings;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::Verdict;
 use phantom::gap::{self, GapError, Input, Keeper, Options, Outcome, figures};
 use phantom::mujoco::{Data, Model, ObjectKind};
-use phantom::recording::{Channel, Kind, Meta, Recording, Stream};
-use phantom::rng::{self, Purpose};
+use phantom::recording::{Kind, Meta, Recording, Stream};
 use phantom::sysid::problem::ProblemConfig;
 
 /// A pendulum with a motor; `HIDDEN` stands for attributes of its joint.
@@ -31,8 +31,6 @@ const MACHINE: &str = r#"<mujoco>
     <jointpos name="angle" joint="hinge"/>
   </sensor>
 </mujoco>"#;
-const FRICTION: &str =
-    r#"frictionloss="0.05" solreffriction="0.002 1" solimpfriction="0.99 0.99 0.001""#;
 /// rad
 const NOISE: f64 = 5e-5;
 
@@ -43,62 +41,14 @@ fn file(hidden: &str) -> ModelFile {
 
 /// Eight seconds of a machine under several sines.
 fn record(hidden: &str, seed: u64) -> (String, Recording) {
-    let model = file(hidden).model;
-    let mut data = Data::new(Arc::clone(&model)).expect("data");
-    let mut rng = rng::stream(seed, Purpose::SensorNoise, 0, 0);
-    let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
-        name: name.into(),
-        kind,
-        unit: unit.into(),
-        noise_sigma,
-    };
-    let mut stream = Stream::new(
-        "all",
-        Some(1000.0),
-        vec![
-            channel("angle", Kind::Sensor, "rad", Some(NOISE)),
-            channel("drive", Kind::Control, "N m", None),
-        ],
-    );
-    let phase = seed as f64;
-    for k in 0..8000_i64 {
-        let t = k as f64 * 1e-3;
-        let torque = 0.4 * (3.1 * t + phase).sin()
-            + 0.3 * (7.3 * t + 2.0 * phase).sin()
-            + 0.1 * (23.0 * t + phase).sin();
-        let angle = data.qpos()[0] + NOISE * rng::normal(&mut rng);
-        stream.push(k * 1_000_000, &[angle, torque]);
-        data.ctrl_mut()[0] = torque;
-        data.step().expect("step");
-    }
-    let recording = Recording {
-        meta: Meta::default(),
-        streams: vec![stream],
-    };
-    (format!("{seed}"), recording)
-}
-
-fn config() -> ProblemConfig {
-    toml::from_str(
-        "[[parameter]]\nelement = \"body/link\"\nattribute = \"mass\"\nprior_sigma = 0.1\n",
-    )
-    .expect("a configuration")
+    let motors = [("drive", seed as f64)];
+    let positions = [("angle", "rad", NOISE)];
+    driven::record(&file(hidden).model, seed, 8000, &positions, &motors)
 }
 
 fn search(hidden: &str, seed: u64) -> Outcome {
-    let (model, config) = (file(""), config());
     let (train, holdout) = ([record(hidden, seed)], [record(hidden, seed + 100)]);
-    let input = Input {
-        model: &model,
-        config: &config,
-        train: &train,
-        holdout: &holdout,
-        protocol: &Settings {
-            cutoff_hz: Some(30.0),
-            ..Settings::default()
-        },
-    };
-    gap::run(&input, &Options::default(), &mut |_, _, _| true).unwrap_or_else(|e| panic!("{e}"))
+    driven::search(&file(""), "link", &train, &holdout)
 }
 
 #[test]
@@ -162,21 +112,9 @@ fn record_finger(model: &Arc<Model>, seed: u64) -> (String, Recording) {
     const MIDDLE_RAD: [f64; 3] = [0.0, -0.15, 0.05];
     const STEP_RAD: f64 = 2e-4;
     let mut data = Data::new(Arc::clone(model)).expect("data");
-    let channel = |name: String, kind, unit: &str, noise_sigma| Channel {
-        name,
-        kind,
-        unit: unit.into(),
-        noise_sigma,
-    };
-    let positions = JOINTS.map(|j| {
-        channel(
-            format!("{j}_pos"),
-            Kind::Sensor,
-            "rad",
-            Some(STEP_RAD / 12_f64.sqrt()),
-        )
-    });
-    let motors = MOTORS.map(|m| channel(m.into(), Kind::Control, "N m", None));
+    let sigma = STEP_RAD / 12_f64.sqrt();
+    let positions = JOINTS.map(|j| channel(&format!("{j}_pos"), Kind::Sensor, "rad", Some(sigma)));
+    let motors = MOTORS.map(|m| channel(m, Kind::Control, "N m", None));
     let mut stream = Stream::new("all", Some(2000.0), [positions, motors].concat());
     for k in 0..4000_i64 {
         let t = k as f64 * 5e-4;
@@ -261,7 +199,7 @@ impl Keeper for Kept {
 
 #[test]
 fn a_search_goes_on_from_its_finished_stages() {
-    let (model, config) = (file(""), config());
+    let (model, config) = (file(""), config("link"));
     let (train, holdout) = ([record(FRICTION, 1)], [record(FRICTION, 101)]);
     let input = Input {
         model: &model,
@@ -331,7 +269,7 @@ fn where_nothing_is_hidden_nothing_is_found() {
 
 #[test]
 fn inputs_that_cannot_work_say_what_to_do() {
-    let (model, config) = (file(""), config());
+    let (model, config) = (file(""), config("link"));
     let train = [record("", 1)];
     let refused =
         |config: &ProblemConfig, options: &Options, recordings: &[(String, Recording)]| {
@@ -387,7 +325,7 @@ fn draws_without_network(html: &str, word: &str) {
 
 #[test]
 fn held_out_recordings_of_another_machine_are_refused() {
-    let (model, config) = (file(""), config());
+    let (model, config) = (file(""), config("link"));
     let train = [record("", 1)];
     let mut other = record("", 2);
     let run = |train: &[(String, Recording)], holdout: &[(String, Recording)]| {

@@ -6,9 +6,8 @@
 //!
 //! with P the precision of priors, bounds kept, D a trace that holds back what readings do not see, and Q, R, J̃, r̃ of
 //! [`super::linear`]. r is simulated exactly after each step; J and Q, which cost a simulation an unknown, are only where
-//! the cost does not fall as they foretell. Windows
-//! know nothing of each other: each takes the part of its ds that suits it, and those that friction or stops bend go on
-//! by themselves ([`super::settle`]).
+//! the cost does not fall as they foretell. Windows know nothing of each other: each takes the part of its ds that suits
+//! it, and those that friction or stops bend go on by themselves ([`super::settle`]).
 
 use nalgebra::{DMatrix, DVector};
 

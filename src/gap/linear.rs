@@ -16,7 +16,7 @@ use nalgebra::{DMatrix, DVector};
 use super::coarse;
 use super::windows::Windows;
 use crate::sysid::SysidError;
-use crate::sysid::islands::Partition;
+use crate::sysid::islands::{Partition, is_shown};
 use crate::sysid::problem::Problem;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::loops::Loops;
@@ -170,9 +170,7 @@ impl Windows {
             rows,
         })
     }
-}
 
-impl Windows {
     /// That first states may change along, see [`Point::directions`]; 0 for what lies still.
     fn directions(&self, x: &[f64], states: &[State]) -> Result<Vec<DMatrix<f64>>, SysidError> {
         let nv = self.problem.model.nv();
@@ -301,10 +299,7 @@ impl Linear {
         reached: Option<&BTreeSet<usize>>,
     ) -> Column {
         let mut raw = 0.0;
-        let shows = |channel: usize| match (reached, self.partition.channels[channel]) {
-            (None, _) => true,
-            (Some(parts), part) => part.is_some_and(|p| parts.contains(&p)),
-        };
+        let shows = |channel: usize| is_shown(reached, self.partition.channels[channel]);
         let own = |(row, moved): (&Row, &Option<DVector<f64>>)| {
             let Some(moved) = moved else {
                 return DVector::zeros(row.residual.len());

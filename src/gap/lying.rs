@@ -7,13 +7,11 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use crate::mujoco::{Contact, Data, Model};
+use crate::mujoco::{Contact, Data};
 use crate::sysid::SysidError;
 use crate::sysid::islands::Partition;
 use crate::sysid::problem::{Problem, Sample, Stage, Trial};
 
-/// `mjJNT_FREE`
-const FREE: i32 = 0;
 /// Knots of the motion that are looked at for contacts: every so many-th.
 const EVERY: usize = 4;
 /// Standard deviations that a reading may be off its mean at rest.
@@ -49,6 +47,10 @@ impl<'a> Lying<'a> {
     /// The engine refuses a number.
     pub(super) fn of(&mut self, trial: &Trial, motion: &[f64]) -> Result<Still, SysidError> {
         let model = &*self.problem.model;
+        let is_free = |dof: usize| model.is_free(model.dof_jntid()[dof] as usize);
+        if !(0..model.nv()).any(is_free) {
+            return Ok(Still::default());
+        }
         let mut contacts = BTreeSet::new();
         for qpos in motion.chunks_exact(model.nq()).step_by(EVERY) {
             self.data.qpos_mut().copy_from_slice(qpos);
@@ -64,7 +66,7 @@ impl<'a> Lying<'a> {
             let channels: BTreeSet<usize> = (0..partition.channels.len())
                 .filter(|c| partition.channels[*c] == Some(part))
                 .collect();
-            let free = dofs.iter().all(|d| is_free(model, *d));
+            let free = dofs.iter().all(|d| is_free(*d));
             if free && !partition.driven.contains(&part) && self.rests(trial, &channels) {
                 still.dofs.extend(dofs);
                 still.channels.extend(channels);
@@ -94,8 +96,4 @@ impl<'a> Lying<'a> {
         }
         any
     }
-}
-
-fn is_free(model: &Model, dof: usize) -> bool {
-    model.jnt_type()[model.dof_jntid()[dof] as usize] == FREE
 }

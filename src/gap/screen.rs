@@ -223,11 +223,10 @@ impl Look<'_> {
                     place: place.clone(),
                     values,
                     size: beta,
-                    stride: 1,
                 });
             }
         }
-        let answers = self.ask(&asked, at, &mut |_| true)?.unwrap_or_default();
+        let answers = self.ask(&asked, at, 1, &mut |_| true)?.unwrap_or_default();
         for (c, column) in which.into_iter().zip(answers) {
             if let Some(column) = column {
                 columns[c] = column;
@@ -281,12 +280,11 @@ impl Look<'_> {
                     place: place.clone(),
                     values: values.clone(),
                     size: *size,
-                    stride,
                 });
             }
         }
         let mut done = |n: usize| watch(variant_of.get(n).map_or(tried.len(), |v| *v));
-        let Some(answers) = self.ask(&asked, at, &mut done)? else {
+        let Some(answers) = self.ask(&asked, at, stride, &mut done)? else {
             return Ok(None);
         };
         let mut answers = answers.into_iter();

@@ -182,6 +182,8 @@ pub(super) fn as_model(
     edit.set_option(&option)?;
     for bound in bound {
         let entry = bound.effect.entry();
+        // inertia is changed in the rig's own model
+        let mut in_model = bound.effect == Effect::RotorInertia;
         for &id in &bound.elements {
             match bound.effect {
                 Effect::ViscousFriction => {
@@ -195,19 +197,11 @@ pub(super) fn as_model(
                 Effect::TorqueGain => edit.actuator_gear()[6 * id] *= 1.0 + bound.values[0],
                 Effect::JointSpring => add_spring(&mut edit, id, bound.values[0], bound.values[1]),
                 Effect::TorqueOffset => add_spring(&mut edit, id, SOFT, bound.values[0] / SOFT),
-                _ => {}
+                _ => continue,
             }
+            in_model = true;
         }
         let torque = matches!(entry.place, Place::Joint | Place::Actuator);
-        let in_model = matches!(
-            bound.effect,
-            Effect::ViscousFriction
-                | Effect::CoulombFriction
-                | Effect::RotorInertia
-                | Effect::TorqueGain
-                | Effect::JointSpring
-                | Effect::TorqueOffset
-        );
         let sensed = matches!(bound.effect, Effect::EncoderOffset | Effect::EncoderScale);
         if (torque && !in_model && !sensed) || bound.effect == Effect::TorsionalFriction {
             left_out.push(entry.name);

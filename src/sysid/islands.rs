@@ -134,8 +134,12 @@ impl Islands {
             });
         }
         idle.sort_unstable();
+        let acting = (problem.parameters.free.iter().enumerate())
+            .filter(|(_, i)| problem.parameters.all[**i].role.acts())
+            .map(|(j, i)| (j, Some(partition.parameters[*i].clone())));
+        let names = |group: Vec<(usize, Shows)>| group.into_iter().map(|(j, _)| j).collect();
         Self {
-            colours: colours(problem, &parts),
+            colours: colours(acting).into_iter().map(names).collect(),
             parts,
             idle,
             contacts,
@@ -160,8 +164,8 @@ impl Islands {
     }
 }
 
-/// Which island each of `n` trees belongs to, where each set of `ties` joins its members.
-fn joined<'a>(n: usize, ties: impl Iterator<Item = &'a Trees>) -> Vec<usize> {
+/// Which island each of `n` trees, or whatever is tied, belongs to, where each set of `ties` joins its members.
+pub(super) fn joined<'a>(n: usize, ties: impl Iterator<Item = &'a Trees>) -> Vec<usize> {
     let mut of: Vec<usize> = (0..n).collect();
     for tie in ties {
         let Some(into) = tie.iter().map(|t| of[*t]).min() else {
@@ -216,30 +220,49 @@ fn reached(problem: &Problem, reach: &Reach, channels: &[Trees], role: &Role) ->
     }
 }
 
-/// Groups of parameters of which no part has two; what changes nothing in the engine is in none.
-fn colours(problem: &Problem, parts: &[Island]) -> Vec<Vec<usize>> {
-    let mut groups: Vec<(Vec<usize>, BTreeSet<usize>)> = Vec::new();
-    for (j, p) in problem.parameters.iter_free().enumerate() {
-        let acts = matches!(
-            p.role,
-            Role::Model(_) | Role::Instrument(Instrument::CommandDelay, _)
-        );
-        if !acts {
-            continue;
-        }
-        let touched: BTreeSet<usize> = (0..parts.len())
-            .filter(|i| parts[*i].parameters.contains(&j))
-            .collect();
-        if touched.is_empty() {
-            continue;
-        }
-        match groups.iter_mut().find(|(_, t)| t.is_disjoint(&touched)) {
-            Some((group, t)) => {
-                group.push(j);
-                t.extend(touched);
-            }
-            None => groups.push((vec![j], touched)),
+/// Parts in which something shows; none: anywhere.
+pub(crate) type Shows = Option<BTreeSet<usize>>;
+
+/// Whether what shows in the parts `shows` shows in `part`, if that is one.
+pub(crate) fn is_shown(shows: Option<&BTreeSet<usize>>, part: Option<usize>) -> bool {
+    shows.is_none_or(|parts| part.is_some_and(|p| parts.contains(&p)))
+}
+
+/// Groups of which no part has two members, so that these can be changed at once; what shows nowhere is in none.
+pub(crate) fn colours<T>(all: impl Iterator<Item = (T, Shows)>) -> Vec<Vec<(T, Shows)>> {
+    let mut groups: Vec<Vec<(T, Shows)>> = Vec::new();
+    for (own, shows) in all.filter(|(_, shows)| shows.as_ref().is_none_or(|s| !s.is_empty())) {
+        let apart = |(_, other): &(T, Shows)| match (other, &shows) {
+            (Some(a), Some(b)) => a.is_disjoint(b),
+            _ => false,
+        };
+        match groups.iter_mut().find(|group| group.iter().all(apart)) {
+            Some(group) => group.push((own, shows)),
+            None => groups.push(vec![(own, shows)]),
         }
     }
-    groups.into_iter().map(|(group, _)| group).collect()
+    groups
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_shows_in_different_parts_is_changed_at_once() {
+        let set = |parts: &[usize]| Some(parts.iter().copied().collect::<BTreeSet<_>>());
+        let all = [
+            (0, set(&[0])),
+            (1, set(&[0])),
+            (2, set(&[1])),
+            (3, set(&[])),
+            (4, None),
+            (5, set(&[1, 2])),
+        ];
+        let found: Vec<Vec<usize>> = colours(all.into_iter())
+            .into_iter()
+            .map(|g| g.into_iter().map(|u| u.0).collect())
+            .collect();
+        assert_eq!(found, [vec![0, 2], vec![1, 5], vec![4]]);
+    }
 }

@@ -61,6 +61,16 @@ pub enum Role {
     Instrument(Instrument, String),
 }
 
+impl Role {
+    /// Whether it changes the motion; what sensors make of the motion needs no simulation.
+    pub(crate) fn acts(&self) -> bool {
+        match self {
+            Self::Model(_) | Self::Instrument(Instrument::CommandDelay, _) => true,
+            Self::Instrument(Instrument::Bias | Instrument::Gain | Instrument::Delay, _) => false,
+        }
+    }
+}
+
 /// One parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {

@@ -2,6 +2,7 @@
 #![allow(dead_code)] // not every test uses everything
 
 pub(crate) mod browser;
+pub(crate) mod driven;
 pub(crate) mod program;
 pub(crate) mod team;
 pub(crate) mod toss;

@@ -7,6 +7,7 @@ use super::apart::{Class, Unknown};
 use super::simulate::{Pool, Simulated, Simulator};
 use super::window::{Placed, State, Window};
 use crate::sysid::SysidError;
+use crate::sysid::islands::is_shown;
 use crate::sysid::problem::Problem;
 
 /// Change of a first position, rad or m, in a finite difference.
@@ -201,11 +202,13 @@ impl Point<'_> {
                 .map(|(m, b)| m.0 - b.0)
                 .collect();
             let one = |(j, reached): &Unknown| {
-                let shows = |part: Option<usize>| match reached {
-                    Some(parts) => part.is_some_and(|p| parts.contains(&p)),
-                    None => true,
+                let slope = |change: f64, part: Option<usize>| {
+                    if is_shown(reached.as_ref(), part) {
+                        change / step(*j)
+                    } else {
+                        0.0
+                    }
                 };
-                let slope = |change: f64, part| if shows(part) { change / step(*j) } else { 0.0 };
                 let partition = &task.class.partition;
                 let channels = &self.problem.trials[window.trial].samples;
                 let samples = (change.iter().zip(placed))

@@ -11,7 +11,7 @@
 //!
 //! Constraints that are springs by intent, slower than [`QUICK_S`], leave their states free.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -19,6 +19,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use super::window::State;
 use crate::mujoco::{Data, Model};
 use crate::sysid::SysidError;
+use crate::sysid::islands::joined;
 use crate::sysid::problem::Problem;
 
 /// Time constant above which a constraint is a spring, s.
@@ -145,22 +146,14 @@ fn is_quick(solref: &[f64]) -> bool {
 
 /// Degrees of freedom that rows of a Jacobian tie together, in groups.
 fn tied(jacobian: &DMatrix<f64>) -> Vec<Vec<usize>> {
-    let mut of: Vec<usize> = (0..jacobian.ncols()).collect();
-    for row in jacobian.row_iter() {
-        let own: Vec<usize> = (row.iter().zip(&of))
-            .filter(|(value, _)| **value != 0.0)
-            .map(|(_, group)| *group)
-            .collect();
-        if let Some(&into) = own.iter().min() {
-            for group in &mut of {
-                if own.contains(group) {
-                    *group = into;
-                }
-            }
-        }
-    }
+    let ties: Vec<BTreeSet<usize>> = (jacobian.row_iter())
+        .map(|row| (0..row.len()).filter(|&dof| row[dof] != 0.0).collect())
+        .collect();
     let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (dof, group) in of.into_iter().enumerate() {
+    for (dof, group) in joined(jacobian.ncols(), ties.iter())
+        .into_iter()
+        .enumerate()
+    {
         groups.entry(group).or_default().push(dof);
     }
     groups.into_values().collect()
