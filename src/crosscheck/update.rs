@@ -133,9 +133,14 @@ pub fn record(root: &Path, seed: u64) -> Result<UpdateRecord, TrainError> {
 
     let groups = sampler.task().observation_groups();
     let horizon = sampler.config().horizon;
+    let known = npg::Known {
+        horizon,
+        groups: &groups,
+        symmetries: &[],
+    };
     let cases = settings(&config.npg).into_iter().map(|config| {
         let deal = Deal::alone(batch.len());
-        let update = || npg::compute(policy, previous, &batch, &deal, horizon, &groups, &config);
+        let update = || npg::compute(policy, previous, &batch, &deal, &known, &config);
         Ok(case(
             sampler.threads().install(update)?,
             &batch,

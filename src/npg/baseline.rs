@@ -17,7 +17,9 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use serde::{Deserialize, Serialize};
 
+use super::Known;
 use super::gram::{self, Gram};
+use crate::task::symmetry;
 use crate::team::{Deal, TeamError};
 
 const CLIP: f64 = 4.0;
@@ -173,12 +175,12 @@ pub fn fit(
     deal: &Deal<'_>,
     targets: &[Target<'_>],
     n_input: usize,
-    horizon: usize,
+    known: &Known<'_>,
     stride: usize,
     ridge: f64,
 ) -> Result<Option<Fit>, TeamError> {
     let stride = stride.max(1);
-    let shape = standardise(deal, targets, n_input)?;
+    let shape = standardise(deal, targets, n_input, known)?;
     let n = shape.n_feature();
 
     // Σ (ψ, y)(ψ, y)ᵀ, the target as one more column
@@ -194,10 +196,18 @@ pub fn fit(
             // the phase moves along with pairs of trajectories, so that both parities visit every time
             let phase = deal.mine()[place] / 2 % stride;
             for (t, (observation, y)) in rows.skip(phase).step_by(stride) {
+                let time = t as f64 / known.horizon as f64;
                 gram.push(|panel| {
-                    shape.features(observation, t as f64 / horizon as f64, panel);
+                    shape.features(observation, time, panel);
                     panel.push(*y);
                 });
+                for symmetry in known.symmetries {
+                    let turned = &symmetry.value_input * DVector::from_column_slice(observation);
+                    gram.push(|panel| {
+                        shape.features(turned.as_slice(), time, panel);
+                        panel.push(*y);
+                    });
+                }
             }
         }
         gram.packed()
@@ -259,23 +269,27 @@ fn standardise(
     deal: &Deal<'_>,
     targets: &[Target<'_>],
     n_input: usize,
+    known: &Known<'_>,
 ) -> Result<Baseline, TeamError> {
-    // Σ (1, s)(1, s)ᵀ
+    // Σ (s, 1)(s, 1)ᵀ
     let total = deal.total(|lane| {
         let mut gram = Gram::new(n_input + 1);
         for &place in lane {
             for observation in targets[place].inputs.chunks_exact(n_input) {
                 gram.push(|panel| {
-                    panel.push(1.0);
                     panel.extend_from_slice(observation);
+                    panel.push(1.0);
                 });
             }
         }
         gram.packed()
     })?;
     let (total, count) = gram::unpack(n_input + 1, &total);
-    let mut covariance = total.view((1, 1), (n_input, n_input)).into_owned();
-    let mut mean = total.view((1, 0), (n_input, 1)).into_owned();
+    let turns = known.symmetries.iter();
+    let turns = turns.map(|s| symmetry::with_constant(&s.value_input));
+    let total = symmetry::mean_of_moments(turns, total);
+    let mut covariance = total.view((0, 0), (n_input, n_input)).into_owned();
+    let mut mean = total.view((0, n_input), (n_input, 1)).into_owned();
     covariance /= count.max(1) as f64;
     mean /= count.max(1) as f64;
     covariance -= &mean * mean.transpose();

@@ -18,6 +18,9 @@
 //! that are hardest to live with (Rajeswaran, Ghotra, Ravindran, Levine 2017, *`EPOpt`*, algorithm 1): gradient, Fisher
 //! matrix and advantages are those of the share ε with the lowest mean reward. The value function is fitted to all.
 //!
+//! Where task and policy are the same after every turn of [`Known::symmetries`], g and F are the means over all turns, and
+//! the value function is fitted to what every sample looks like after each: as if all trajectories had been turned too.
+//!
 //! Every sum over trajectories runs in a fixed order and over all processes (see [`crate::team`]), so that the result
 //! depends neither on threads nor on processes.
 
@@ -37,6 +40,7 @@ use thiserror::Error;
 use crate::policy::AffineGaussian;
 use crate::rollout::Trajectory;
 use crate::task::ObservationGroup;
+use crate::task::symmetry::Symmetry;
 use crate::team::{Deal, TeamError};
 use baseline::{Baseline, FitReport, Target};
 use fisher::Fisher;
@@ -75,6 +79,17 @@ pub enum NpgError {
     /// The processes of the team could not add up.
     #[error(transparent)]
     Team(#[from] TeamError),
+}
+
+/// What is known of the task whose trajectories an update is made from.
+#[derive(Debug, Clone, Copy)]
+pub struct Known<'a> {
+    /// control steps of a trajectory
+    pub horizon: usize,
+    /// what observations mean, for diagnostics
+    pub groups: &'a [ObservationGroup],
+    /// turns that change neither the task nor the policy
+    pub symmetries: &'a [Symmetry],
 }
 
 /// What an update did.
@@ -128,11 +143,10 @@ pub fn update(
     baseline: &mut Baseline,
     batch: &[Trajectory],
     deal: &Deal<'_>,
-    horizon: usize,
-    groups: &[ObservationGroup],
+    known: &Known<'_>,
     config: &NpgConfig,
 ) -> Result<UpdateReport, NpgError> {
-    let update = compute(policy, baseline, batch, deal, horizon, groups, config)?;
+    let update = compute(policy, baseline, batch, deal, known, config)?;
     *policy = update.policy;
     if let Some(fit) = update.fit {
         *baseline = fit.all;
@@ -149,8 +163,7 @@ pub fn compute(
     baseline: &Baseline,
     batch: &[Trajectory],
     deal: &Deal<'_>,
-    horizon: usize,
-    groups: &[ObservationGroup],
+    known: &Known<'_>,
     config: &NpgConfig,
 ) -> Result<Update, NpgError> {
     let [n_trajectory, n_usable] =
@@ -162,7 +175,7 @@ pub fn compute(
     }
 
     // value function and advantages
-    let fit = fit_baseline(baseline, batch, deal, horizon, config)?;
+    let fit = fit_baseline(baseline, batch, deal, known, config)?;
     let limit = worst(batch, deal, n_usable, config.epopt_epsilon)?;
     let takes_part = |t: &Trajectory| is_usable(t) && t.mean_reward() <= limit;
     let fitted = match config.value_from {
@@ -172,7 +185,7 @@ pub fn compute(
     let mut advantages = per_trajectory(batch, |place, trajectory| {
         let value = fitted.map_or(baseline, |crossed| &crossed[deal.mine()[place] % 2]);
         if takes_part(trajectory) {
-            advantages(value, trajectory, horizon, config)
+            advantages(value, trajectory, known.horizon, config)
         } else {
             Vec::new()
         }
@@ -185,7 +198,7 @@ pub fn compute(
         halves,
         second,
         outer,
-    } = Totals::of(policy, deal, batch, &advantages, config)?;
+    } = Totals::of(policy, deal, batch, &advantages, known.symmetries, config)?;
     let fisher = match outer {
         None => Fisher::exact(&second, policy.log_sigma(), config.fisher_damping),
         Some(outer) => {
@@ -224,7 +237,8 @@ pub fn compute(
         kl_predicted: 0.5 * config.step_size_delta,
         kl_measured,
         half_cosine: cosine(0..policy.n_observation()),
-        group_cosines: groups
+        group_cosines: known
+            .groups
             .iter()
             .map(|g| (g.name, cosine(g.columns.clone())))
             .collect(),
@@ -269,7 +283,7 @@ fn fit_baseline(
     baseline: &Baseline,
     batch: &[Trajectory],
     deal: &Deal<'_>,
-    horizon: usize,
+    known: &Known<'_>,
     config: &NpgConfig,
 ) -> Result<Option<baseline::Fit>, TeamError> {
     let n_input = baseline.n_input();
@@ -277,7 +291,7 @@ fn fit_baseline(
         let (mut last, mut returns) = (Vec::new(), Vec::new());
         if is_usable(trajectory) {
             let end = &trajectory.value_inputs[trajectory.len() * n_input..];
-            baseline.values(end, trajectory.len(), horizon, &mut last);
+            baseline.values(end, trajectory.len(), known.horizon, &mut last);
             advantage::returns(&trajectory.rewards, last[0], config.discount, &mut returns);
         }
         returns
@@ -304,7 +318,7 @@ fn fit_baseline(
         deal,
         &targets,
         n_input,
-        horizon,
+        known,
         config.value_stride,
         config.value_ridge,
     )

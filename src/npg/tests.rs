@@ -1,8 +1,15 @@
 //! Ends of trajectories: what is cut off at the horizon counts with the value of the state it really ended in.
 
-use super::{Baseline, Deal, NpgConfig, Target, Trajectory, advantages, baseline, fit_baseline};
+use super::{
+    Baseline, Deal, Known, NpgConfig, Target, Trajectory, advantages, baseline, fit_baseline,
+};
 
 const HORIZON: usize = 30;
+const KNOWN: Known<'_> = Known {
+    horizon: HORIZON,
+    groups: &[],
+    symmetries: &[],
+};
 const DISCOUNT: f64 = 0.9;
 
 /// A process that stays at `s` and pays `s` a step: its value is s / (1 - γ) at any time.
@@ -33,7 +40,7 @@ fn known_value(trajectories: &[Trajectory]) -> Baseline {
             returns,
         })
         .collect();
-    baseline::fit(&Deal::alone(targets.len()), &targets, 1, HORIZON, 1, 1e-12)
+    baseline::fit(&Deal::alone(targets.len()), &targets, 1, &KNOWN, 1, 1e-12)
         .expect("alone")
         .expect("enough samples")
         .all
@@ -54,7 +61,7 @@ fn process() -> Vec<Trajectory> {
 }
 
 fn fit(value: &Baseline, batch: &[Trajectory]) -> Baseline {
-    fit_baseline(value, batch, &Deal::alone(batch.len()), HORIZON, &config())
+    fit_baseline(value, batch, &Deal::alone(batch.len()), &KNOWN, &config())
         .expect("alone")
         .expect("enough samples")
         .all

@@ -8,17 +8,19 @@ use super::gram::{self, Gram};
 use crate::exploration::score_features;
 use crate::policy::AffineGaussian;
 use crate::rollout::Trajectory;
+use crate::task::symmetry::{self, Symmetry};
 use crate::team::{Deal, TeamError};
 
 /// Means over all samples of a batch.
 pub(super) struct Totals {
     /// number of samples
     pub(super) n_sample: usize,
-    /// gradient from the trajectories of even and of odd index; their sum is the gradient
+    /// gradient, mean over all turns, from the trajectories of even and of odd index; their sum is the gradient
     pub(super) halves: [Vec<f64>; 2],
-    /// `E[ψψᵀ]`
+    /// `E[ψψᵀ]`, mean over all turns
     pub(super) second: DMatrix<f64>,
-    /// `E[u uᵀ]`, where u is the score in units of σ; with the empirical Fisher matrix only
+    /// `E[u uᵀ]`, where u is the score in units of σ; mean over all turns; with the empirical
+    /// Fisher matrix only
     pub(super) outer: Option<DMatrix<f64>>,
 }
 
@@ -33,6 +35,7 @@ impl Totals {
         deal: &Deal<'_>,
         trajectories: &[Trajectory],
         advantages: &[Vec<f64>],
+        symmetries: &[Symmetry],
         config: &NpgConfig,
     ) -> Result<Self, TeamError> {
         let (width, n_parameter) = (policy.n_observation() + 1, policy.n_parameter());
@@ -61,16 +64,21 @@ impl Totals {
             .chain(policy.log_sigma().iter().map(|_| scale))
             .collect();
         for half in &mut halves {
+            *half = symmetry::mean_of_parameters(symmetries, half);
             for (value, unit) in half.iter_mut().zip(&units) {
                 *value *= unit;
             }
         }
         let outer = (!outer.is_empty()).then(|| gram::unpack(n_parameter, outer).0 * scale);
+        let of_features = symmetries
+            .iter()
+            .map(|s| symmetry::with_constant(&s.observation));
+        let of_scores = symmetries.iter().map(Symmetry::of_parameters);
         Ok(Self {
             n_sample,
             halves,
-            second: second * scale,
-            outer,
+            second: symmetry::mean_of_moments(of_features, second * scale),
+            outer: outer.map(|outer| symmetry::mean_of_moments(of_scores, outer)),
         })
     }
 }

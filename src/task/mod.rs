@@ -5,6 +5,8 @@
 
 pub mod push;
 pub mod spiral;
+pub mod symmetry;
+mod turns;
 
 use thiserror::Error;
 

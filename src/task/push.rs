@@ -24,10 +24,10 @@ use crate::rng::{self, Stream};
 
 /// Number of fingers.
 pub const N_FINGER: usize = 3;
-const JOINTS: [&str; 5] = ["turret", "upper", "crank", "rod", "forearm"];
-const N_JOINT: usize = N_FINGER * JOINTS.len();
-const N_MOTOR: usize = 3 * N_FINGER;
-const N_OBSERVATION: usize = 2 * N_JOINT + 6;
+pub(super) const JOINTS: [&str; 5] = ["turret", "upper", "crank", "rod", "forearm"];
+pub(super) const N_JOINT: usize = N_FINGER * JOINTS.len();
+pub(super) const N_MOTOR: usize = 3 * N_FINGER;
+pub(super) const N_OBSERVATION: usize = 2 * N_JOINT + 6;
 const START_TRIES: usize = 100;
 
 /// How the distance of a fingertip to the object is measured.
@@ -93,16 +93,16 @@ impl PushConfig {
 #[derive(Debug, Clone)]
 pub struct PushTask {
     config: PushConfig,
-    tips: [usize; N_FINGER],      // site ids
-    tip_geoms: [usize; N_FINGER], // geom ids
-    object_geom: usize,           // geom id
-    object_qpos: usize,           // address of the free joint in qpos
-    object_dof: usize,            // address of the free joint in qvel
-    goal: usize,                  // mocap index
-    start_low: Vec<f64>,          // (9) motor coordinates, rad
-    start_high: Vec<f64>,         // (9)
-    loop_rod: [f64; 3],           // rod = a upper + b crank + c
-    loop_forearm: [f64; 3],       // forearm likewise
+    tips: [usize; N_FINGER],                 // site ids
+    pub(super) tip_geoms: [usize; N_FINGER], // geom ids
+    object_geom: usize,                      // geom id
+    object_qpos: usize,                      // address of the free joint in qpos
+    object_dof: usize,                       // address of the free joint in qvel
+    goal: usize,                             // mocap index
+    start_low: Vec<f64>,                     // (9) motor coordinates, rad
+    start_high: Vec<f64>,                    // (9)
+    loop_rod: [f64; 3],                      // rod = a upper + b crank + c
+    loop_forearm: [f64; 3],                  // forearm likewise
 }
 
 impl PushTask {
@@ -167,6 +167,16 @@ impl PushTask {
     /// The object's position, m.
     pub fn object<'a>(&self, data: &'a Data) -> &'a [f64] {
         &data.qpos()[self.object_qpos..self.object_qpos + 3]
+    }
+
+    pub(super) fn object_mut<'a>(&self, data: &'a mut Data) -> &'a mut [f64] {
+        &mut data.qpos_mut()[self.object_qpos..self.object_qpos + 3]
+    }
+
+    /// The position of a fingertip, m.
+    pub(super) fn tip(&self, data: &Data, finger: usize) -> [f64; 3] {
+        let at = 3 * self.tips[finger];
+        std::array::from_fn(|k| data.site_xpos()[at + k])
     }
 
     /// The goal's position, m.
@@ -319,12 +329,9 @@ impl Task for PushTask {
 
     fn reward(&self, data: &Data) -> f64 {
         let object = self.object(data);
-        let site = data.site_xpos();
-        let tips: f64 = self
-            .tips
-            .iter()
-            .map(|&id| {
-                let tip = &site[3 * id..3 * id + 3];
+        let tips: f64 = (0..N_FINGER)
+            .map(|finger| {
+                let tip = self.tip(data, finger);
                 let height = match self.config.tip_distance {
                     TipDistance::Space => tip[2] - object[2],
                     TipDistance::Plane => 0.0,

@@ -67,6 +67,9 @@ pub struct ScheduleConfig {
     pub object_mass_sigma_kg: f64,
     /// standard deviation of each base's position in x and y between rollouts, m
     pub base_sigma_m: f64,
+    /// hold the policy the same after turns that change nothing of the model, which makes every sample worth several;
+    /// rules of the configuration and ensembles of models rule that out
+    pub symmetric: bool,
     /// every how many iterations the mean policy is evaluated on the spiral; 0: never
     pub evaluate_every: u64,
     /// rollouts of such an evaluation
@@ -91,6 +94,7 @@ impl Default for ScheduleConfig {
             object_mass_kg: None,
             object_mass_sigma_kg: 0.0,
             base_sigma_m: 0.005,
+            symmetric: true,
             evaluate_every: 5,
             evaluation_rollouts: 10,
             checkpoint_every: 1,
@@ -202,6 +206,12 @@ impl TrainConfig {
     pub fn horizon(&self) -> usize {
         let control_s = self.train.timestep_s * self.train.control_hold as f64;
         (self.train.trajectory_s / control_s).round() as usize
+    }
+
+    /// Whether what rollouts draw is spread the same after every turn of the model: rules and ensembles of the configuration
+    /// may tell one robot from the others.
+    pub(super) fn keeps_turns(&self) -> bool {
+        self.randomise.is_empty() && self.ensemble.is_none()
     }
 
     /// All rules of the ensemble: bases, object mass, and those of the configuration.

@@ -18,11 +18,12 @@ use std::time::Instant;
 use crate::evaluate::{self, Evaluation, Rollout};
 use crate::mujoco::{Model, MujocoError};
 use crate::npg::baseline::Baseline;
-use crate::npg::{self, NpgConfig, NpgError, UpdateReport};
+use crate::npg::{self, Known, NpgConfig, NpgError, UpdateReport};
 use crate::policy::AffineGaussian;
 use crate::randomise::Randomiser;
 use crate::rollout::{BatchRequest, Diverged, RolloutConfig, Sampler, Trajectory};
 use crate::task::push::PushTask;
+use crate::task::symmetry::{self, Symmetry};
 use crate::task::{ObservationGroup, Task};
 use crate::team::{Deal, Team, TeamError};
 pub use batch_size::BatchSize;
@@ -81,6 +82,7 @@ pub struct Trainer {
     config: TrainConfig,
     sampler: Sampler,
     groups: Vec<ObservationGroup>,
+    symmetries: Vec<Symmetry>,
     task: Arc<PushTask>,
     model: Arc<Model>, // as loaded, for evaluation
     evaluation_randomiser: Randomiser,
@@ -120,6 +122,13 @@ impl Trainer {
         if let Some(ensemble) = &config.ensemble {
             randomiser = randomiser.with_ensemble(&training_model, ensemble)?;
         }
+        let training_model = Arc::new(training_model);
+        // single robots that differ from the others by intent make no turn of the whole
+        let symmetries = if config.train.symmetric && config.keeps_turns() {
+            task.symmetries(&training_model)?
+        } else {
+            Vec::new()
+        };
         let rollout = RolloutConfig {
             horizon: config.horizon(),
             control_hold: config.train.control_hold,
@@ -155,6 +164,7 @@ impl Trainer {
         Ok(Self {
             team,
             groups: task.observation_groups(),
+            symmetries,
             config,
             sampler,
             task,
@@ -219,6 +229,11 @@ impl Trainer {
         &self.team
     }
 
+    /// Turns that make no difference to the model: the policy is held the same after each.
+    pub fn symmetries(&self) -> &[Symmetry] {
+        &self.symmetries
+    }
+
     /// The settings.
     pub fn config(&self) -> &TrainConfig {
         &self.config
@@ -276,18 +291,19 @@ impl Trainer {
         // policy and value function
         let update_begin = Instant::now();
         let (policy, baseline) = (&mut self.state.policy, &mut self.state.baseline);
-        let horizon = self.sampler.config().horizon;
-        let update = self.sampler.threads().install(|| {
-            npg::update(
-                policy,
-                baseline,
-                &self.batch,
-                &deal,
-                horizon,
-                &self.groups,
-                &npg_config,
-            )
-        });
+        let symmetries = match symmetry::has_all(&self.symmetries, policy) {
+            true => self.symmetries.as_slice(),
+            false => &[],
+        };
+        let known = Known {
+            horizon: self.sampler.config().horizon,
+            groups: &self.groups,
+            symmetries,
+        };
+        let update = self
+            .sampler
+            .threads()
+            .install(|| npg::update(policy, baseline, &self.batch, &deal, &known, &npg_config));
         let update = match update {
             Err(error @ (NpgError::NoTrajectory { .. } | NpgError::Team(_))) => {
                 return Err(error.into());

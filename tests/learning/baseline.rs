@@ -1,6 +1,7 @@
 //! The value function: planted functions, its own report, and which half it saw.
 
 use crate::synthetic::{normals, stream};
+use phantom::npg::Known;
 use phantom::npg::baseline::{Baseline, Fit, Target, fit};
 use phantom::rng;
 use phantom::team::Deal;
@@ -44,7 +45,12 @@ fn fit_to(samples: &[Sample], stride: usize, ridge: f64) -> Option<Fit> {
         })
         .collect();
     let deal = Deal::alone(targets.len());
-    fit(&deal, &targets, N, HORIZON, stride, ridge).expect("alone")
+    let known = Known {
+        horizon: HORIZON,
+        groups: &[],
+        symmetries: &[],
+    };
+    fit(&deal, &targets, N, &known, stride, ridge).expect("alone")
 }
 
 fn values(baseline: &Baseline, sample: &Sample) -> Vec<f64> {

@@ -4,4 +4,5 @@ mod baseline;
 mod fisher;
 mod policy;
 mod step;
+mod symmetry;
 mod synthetic;

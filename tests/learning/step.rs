@@ -6,7 +6,7 @@ use crate::synthetic::{
 use nalgebra::{DMatrix, DVector};
 use phantom::npg::baseline::Baseline;
 use phantom::npg::fisher::FisherMode;
-use phantom::npg::{self, NpgConfig, NpgError, UpdateReport, ValueFrom, kl_divergence};
+use phantom::npg::{self, Known, NpgConfig, NpgError, UpdateReport, ValueFrom, kl_divergence};
 use phantom::policy::AffineGaussian;
 use phantom::rng::Stream;
 use phantom::rollout::{Diverged, ModelDraw, Start, Trajectory};
@@ -48,8 +48,11 @@ fn update(
         &mut baseline,
         batch,
         &deal,
-        HORIZON,
-        &groups,
+        &Known {
+            horizon: HORIZON,
+            groups: &groups,
+            symmetries: &[],
+        },
         config,
     )
 }

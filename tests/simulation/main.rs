@@ -8,3 +8,4 @@ mod push_task;
 mod randomise;
 mod rollout;
 mod training;
+mod turns;

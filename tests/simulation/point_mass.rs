@@ -72,8 +72,11 @@ fn a_point_mass_is_brought_to_its_goal() {
                 &mut baseline,
                 &batch,
                 &deal,
-                50,
-                &groups,
+                &npg::Known {
+                    horizon: 50,
+                    groups: &groups,
+                    symmetries: &[],
+                },
                 &config,
             )
             .expect("a step");

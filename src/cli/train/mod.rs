@@ -222,6 +222,12 @@ fn summarise(trainer: &Trainer, folder: &Path, message_bytes: u64) {
         1e-6 * state.physics_steps as f64,
         state.seconds
     );
+    if !trainer.symmetries().is_empty() {
+        println!(
+            "the policy is the same after each of {} turns of the machine (train.symmetric)",
+            trainer.symmetries().len()
+        );
+    }
     if trainer.team().size() > 1 {
         println!(
             "{} processes, {:.0} kB of messages an iteration at most at each",

@@ -1,0 +1,73 @@
+//! The three robots are one after the other the same machine, as long as nothing tells them apart.
+
+use std::sync::Arc;
+
+use crate::common::{phantom_model, phantom_model_with};
+use phantom::mujoco::Model;
+use phantom::randomise::{Distribution, Rule};
+use phantom::task::push::{PushConfig, PushTask};
+use phantom::task::symmetry::has_all;
+use phantom::train::Trainer;
+use phantom::train::config::TrainConfig;
+
+fn n_turn(model: Model) -> usize {
+    let task = PushTask::new(&model, PushConfig::default()).expect("task");
+    task.symmetries(&Arc::new(model)).expect("turns").len()
+}
+
+#[test]
+fn equal_robots_have_two_turns() {
+    assert_eq!(n_turn(phantom_model()), 2);
+}
+
+#[test]
+fn whatever_tells_robots_apart_leaves_none() {
+    for (of, changed) in [
+        (r#"<motor name="p1_m2""#, r#" gear="1.01""#),
+        (r#"<joint name="p1_upper""#, r#" damping="0.0021""#),
+        (r#"<geom name="p1_tip""#, r#" size="0.0101""#),
+        (
+            r#"<pair name="p1_table""#,
+            r#" friction="0.5 0.5 0.005 0.0001 0.0001""#,
+        ),
+        (r#"<pair name="p1_p2""#, r#" solref="0.009 1""#),
+        (r#"<body name="p1_turret""#, r#" quat="1 0.001 0 0""#),
+    ] {
+        let model = phantom_model_with(of, &format!("{of}{changed}"));
+        assert_eq!(n_turn(model), 0, "{of}{changed}");
+    }
+    let (place, moved) = ("-0.259808 -0.150000 0", "-0.259808 -0.151000 0");
+    assert_eq!(n_turn(phantom_model_with(place, moved)), 0);
+}
+
+fn small() -> TrainConfig {
+    let mut config = TrainConfig::default();
+    config.train.trajectories = 16;
+    config.train.trajectory_s = 0.2;
+    config.train.evaluate_every = 0;
+    config
+}
+
+#[test]
+fn a_policy_stays_the_same_after_turns() {
+    let mut trainer = Trainer::new(phantom_model(), small(), 2).expect("trainer");
+    for _ in 0..3 {
+        trainer.advance().expect("iteration");
+    }
+    let policy = &trainer.checkpoint().policy;
+    assert!(policy.weights().iter().any(|w| *w != 0.0));
+    assert!(has_all(trainer.symmetries(), policy));
+}
+
+#[test]
+fn rules_of_the_configuration_rule_turns_out() {
+    let mut config = small();
+    config.randomise = vec![Rule::new(
+        "joint/p1_upper",
+        "damping",
+        &[],
+        Distribution::Fixed(0.01),
+    )];
+    let trainer = Trainer::new(phantom_model(), config, 1).expect("trainer");
+    assert!(trainer.symmetries().is_empty());
+}
