@@ -13,8 +13,8 @@ use crate::mujoco::{Data, Model};
 use crate::rng::{self, Purpose};
 
 /// Random motions.
-const MOTIONS: u64 = 3;
-/// Physics steps of each.
+const MOTIONS: u64 = 8;
+/// Physics steps of each, or fewer: until a fingertip touches something.
 const STEPS: usize = 10;
 /// Spread of their torques, N m.
 const TORQUE_SIGMA: f64 = 0.3;
@@ -28,27 +28,33 @@ impl PushTask {
     /// When the engine fails or no start is found.
     pub fn symmetries(&self, model: &std::sync::Arc<Model>) -> Result<Vec<Symmetry>, TaskError> {
         let once = turn(1);
-        let fingers_touch_alike = self.fingers_touch_alike(model);
         let [mut data, mut turned] = [
             Data::new(std::sync::Arc::clone(model))?,
             Data::new(std::sync::Arc::clone(model))?,
         ];
+        if !self.fingers_touch_alike(model) {
+            return Ok(Vec::new());
+        }
+        let mut compared = 0;
         for index in 0..MOTIONS {
-            if !fingers_touch_alike || !self.moves_alike(&once, index, &mut data, &mut turned)? {
-                return Ok(Vec::new());
+            match self.moves_alike(&once, index, &mut data, &mut turned)? {
+                Some(steps) => compared += steps,
+                None => return Ok(Vec::new()),
             }
         }
-        Ok((1..N_FINGER).map(turn).collect())
+        // a model of which nothing could be compared is not known to have any
+        let turns = if compared > 0 { 1..N_FINGER } else { 0..0 };
+        Ok(turns.map(turn).collect())
     }
 
-    /// Whether a random motion of `data` is, turned, that of `turned`.
+    /// In how many steps a random motion of `data` is, turned, that of `turned`; none if it is not in one of them.
     fn moves_alike(
         &self,
         turn: &Symmetry,
         index: u64,
         data: &mut Data,
         turned: &mut Data,
-    ) -> Result<bool, TaskError> {
+    ) -> Result<Option<usize>, TaskError> {
         let object = 2 * N_JOINT;
         let place = turn.observation.view((object, object), (2, 2)).into_owned();
         let mut rng = rng::stream(0, Purpose::Start, 0, index);
@@ -64,15 +70,18 @@ impl PushTask {
         apply(&turn.action, &action, turned.ctrl_mut());
         let n = self.n_value_input();
         let (mut seen, mut expected, mut found) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
-        for _ in 0..STEPS {
+        for step in 0..STEPS {
             data.step()?;
             turned.step()?;
+            if self.is_touching(data) {
+                return Ok(Some(step));
+            }
             self.observe_value(data, &mut seen);
             self.observe_value(turned, &mut found);
             apply(&turn.value_input, &seen, &mut expected);
             let differs = |(a, b): (&f64, &f64)| (a - b).abs() > TOLERANCE;
             if expected.iter().zip(&found).any(differs) {
-                return Ok(false);
+                return Ok(None);
             }
             // joints do not tell where a robot stands
             for finger in 0..N_FINGER {
@@ -81,11 +90,18 @@ impl PushTask {
                 let [x, y, _] = expected;
                 apply(&place, &[x, y], &mut expected[..2]);
                 if expected.iter().zip(&next).any(differs) {
-                    return Ok(false);
+                    return Ok(None);
                 }
             }
         }
-        Ok(true)
+        Ok(Some(STEPS))
+    }
+
+    fn is_touching(&self, data: &Data) -> bool {
+        let is_tip = |geom| self.tip_geoms.contains(&geom);
+        data.contacts()
+            .iter()
+            .any(|c| c.geoms().into_iter().any(is_tip))
     }
 
     /// Put `turned` into the state of `data` after a turn: joints, the object's place, the goal. The object is round and

@@ -10,9 +10,21 @@ use phantom::task::symmetry::has_all;
 use phantom::train::Trainer;
 use phantom::train::config::TrainConfig;
 
-fn n_turn(model: Model) -> usize {
+/// At the model's own time step and at that of training.
+fn n_turn(mut model: Model) -> usize {
     let task = PushTask::new(&model, PushConfig::default()).expect("task");
-    task.symmetries(&Arc::new(model)).expect("turns").len()
+    let fine = task
+        .symmetries(&Arc::new(model.clone()))
+        .expect("turns")
+        .len();
+    let mut edit = model.edit();
+    edit.set_timestep(0.004).expect("a time step");
+    edit.finish().expect("a model");
+    assert_eq!(
+        fine,
+        task.symmetries(&Arc::new(model)).expect("turns").len()
+    );
+    fine
 }
 
 #[test]
@@ -56,6 +68,7 @@ fn a_policy_stays_the_same_after_turns() {
     }
     let policy = &trainer.checkpoint().policy;
     assert!(policy.weights().iter().any(|w| *w != 0.0));
+    assert_eq!(trainer.symmetries().len(), 2);
     assert!(has_all(trainer.symmetries(), policy));
 }
 
