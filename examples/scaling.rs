@@ -91,7 +91,11 @@ fn phases() -> Result<serde_json::Value, Failure> {
     let mut update = |n| -> Result<f64, Failure> {
         sampler.sample(&state.policy, &request(n), &mut batch)?;
         let (deal, groups) = (Deal::alone(n), sampler.task().observation_groups());
-        let horizon = sampler.config().horizon;
+        let known = npg::Known {
+            horizon: sampler.config().horizon,
+            groups: &groups,
+            symmetries: trainer.symmetries(),
+        };
         let compute = || -> Result<f64, Failure> {
             let begin = busy_s()?;
             black_box(npg::compute(
@@ -99,8 +103,7 @@ fn phases() -> Result<serde_json::Value, Failure> {
                 &state.baseline,
                 &batch,
                 &deal,
-                horizon,
-                &groups,
+                &known,
                 &config.npg,
             )?);
             Ok(busy_s()? - begin)

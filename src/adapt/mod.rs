@@ -128,9 +128,13 @@ impl Default for AdaptConfig {
     fn default() -> Self {
         let mut training = TrainConfig::default();
         training.train.iterations = 15;
+        // machines of the posterior have no turns, and the references are to differ from them in the model alone
+        training.train.symmetric = false;
+        training.train.trajectories = 600;
         // explore as at the end of a first training, not as at its beginning
         training.npg.initial_log_sigma = -2.0;
         training.npg.step_size_delta = 0.06;
+        training.npg.advantage_clip = 5.0;
         training.npg.anneal_iterations = 15;
         training.train.evaluate_every = 0;
         Self {

@@ -47,7 +47,7 @@ enum What {
 /// hardware. Writes DIR/WHAT.html (one page, works without network), a figure as SVG and PNG each, and DIR/WHAT.json.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  phantom reproduce all --out reproduction                           5 seeds, 80 iterations: about an hour on two cores
+  phantom reproduce all --out reproduction                           5 seeds, 60 iterations: about an hour on two cores
   phantom reproduce table1 --out reproduction --seeds 3 --iterations 40
   phantom reproduce heatmap --out reproduction                       of policies that are there
   phantom reproduce spiral --out other --rig my_rig.toml")]
@@ -62,7 +62,7 @@ pub(super) struct ReproduceArgs {
     #[arg(long, value_name = "N", default_value = "5", value_parser = count)]
     seeds: usize,
     /// Policy updates of each run
-    #[arg(long, value_name = "N", default_value = "80", value_parser = count)]
+    #[arg(long, value_name = "N", default_value = "60", value_parser = count)]
     iterations: usize,
     /// Rollouts of each policy, in simulation and on the rig
     #[arg(long, value_name = "N", default_value = "10", value_parser = count)]

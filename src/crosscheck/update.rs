@@ -261,6 +261,7 @@ fn mark_as_broken(trajectory: &mut Trajectory) {
         step: trajectory.len(),
         start,
         mocap_pos: Vec::new(),
+        mocap_quat: Vec::new(),
         actions: Vec::new(),
     });
 }

@@ -77,8 +77,8 @@ impl Totals {
         Ok(Self {
             n_sample,
             halves,
-            second: symmetry::mean_of_moments(of_features, second * scale),
-            outer: outer.map(|outer| symmetry::mean_of_moments(of_scores, outer)),
+            second: symmetry::mean_of_moments(of_features, &(second * scale)),
+            outer: outer.map(|outer| symmetry::mean_of_moments(of_scores, &outer)),
         })
     }
 }

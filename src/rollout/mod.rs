@@ -300,11 +300,12 @@ impl Sampler {
             qpos: data.qpos().to_vec(),
             qvel: data.qvel().to_vec(),
         };
-        let mocap_pos = data.mocap_pos().to_vec();
+        let (mocap_pos, mocap_quat) = (data.mocap_pos().to_vec(), data.mocap_quat().to_vec());
         let mut rng = rng::stream(request.seed, Purpose::Exploration, request.iteration, index);
         let visit = rng::uniform(&mut rng, 0.0, horizon as f64) as usize;
 
         trajectory.clear();
+        let control_s = self.control_s(data);
         let mut exploration = Exploration::new(action.len(), self.config.noise_correlation);
         let mut noise = vec![0.0; action.len()];
         task.observe_value(data, value_input);
@@ -324,6 +325,7 @@ impl Sampler {
                 }
             }));
             hold(data, action, self.config.control_hold)?;
+            task.pass(data, control_s);
             let reward = task.reward(data);
             if let Some(reason) = breakdown(data, reward) {
                 let actions = trajectory.actions.clone();
@@ -332,6 +334,7 @@ impl Sampler {
                     step,
                     start,
                     mocap_pos,
+                    mocap_quat,
                     actions,
                 });
                 return Ok(());
@@ -349,6 +352,11 @@ impl Sampler {
             }
         }
         Ok(())
+    }
+
+    /// Length of a control step, s.
+    fn control_s(&self, data: &Data) -> f64 {
+        self.config.control_hold as f64 * data.model().timestep()
     }
 
     /// Run a recorded breakdown again; returns what is seen this time (`None`: it did not break down).
@@ -372,9 +380,12 @@ impl Sampler {
         self.draw_model(data, seed, dump.start.model)?;
         set_start(data, &dump.start)?;
         copy("mocap_pos", &dump.mocap_pos, data.mocap_pos_mut())?;
+        copy("mocap_quat", &dump.mocap_quat, data.mocap_quat_mut())?;
         data.step1()?;
+        let control_s = self.control_s(data);
         for (step, action) in dump.actions.chunks_exact(width.max(1)).enumerate() {
             hold(data, action, self.config.control_hold)?;
+            self.task.pass(data, control_s);
             if let Some(reason) = breakdown(data, self.task.reward(data)) {
                 return Ok(Some((step, reason)));
             }

@@ -55,6 +55,8 @@ pub struct Diverged {
     pub start: Start,
     /// (nmocap × 3)
     pub mocap_pos: Vec<f64>,
+    /// (nmocap × 4)
+    pub mocap_quat: Vec<f64>,
     /// (steps × `n_action`) actions up to and including the fatal one
     pub actions: Vec<f64>,
 }

@@ -3,6 +3,7 @@
 //! A [`Task`] is stateless and shared by all threads; everything that changes lives in the [`Data`] it is handed.
 //! [`push::PushTask`] is the paper's task; tests bring smaller ones.
 
+mod goal;
 pub mod push;
 pub mod spiral;
 pub mod symmetry;
@@ -93,6 +94,11 @@ pub trait Task: Send + Sync {
     /// # Errors
     /// When the engine fails.
     fn new_goal(&self, data: &mut Data, rng: &mut Stream) -> Result<(), TaskError>;
+
+    /// Let what is no physics, such as a goal that moves, go on for `seconds`: after every control step, before its reward.
+    fn pass(&self, data: &mut Data, seconds: f64) {
+        let _ = (data, seconds);
+    }
 
     /// Write the observation of the current state.
     fn observe(&self, data: &Data, observation: &mut [f64]);

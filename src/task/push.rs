@@ -18,6 +18,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::goal::Goal;
 use super::{ObservationGroup, Task, TaskError};
 use crate::mujoco::{Data, Model, ObjectKind};
 use crate::rng::{self, Stream};
@@ -46,6 +47,8 @@ pub enum TipDistance {
 pub struct PushConfig {
     /// diameter of the disc of goals, m (paper: 0.12)
     pub goal_diameter_m: f64,
+    /// speed of the goal within the disc, m/s; 0: it stands still (paper)
+    pub goal_speed_m_s: f64,
     /// weight of the distance between object and goal, 1/m (paper: 3)
     pub goal_weight: f64,
     /// weight of the distance between each fingertip and the object, 1/m (paper: 1)
@@ -60,6 +63,7 @@ impl Default for PushConfig {
     fn default() -> Self {
         Self {
             goal_diameter_m: 0.12,
+            goal_speed_m_s: 0.0,
             goal_weight: 3.0,
             tip_weight: 1.0,
             torque_weight: 0.1,
@@ -72,6 +76,7 @@ impl PushConfig {
     fn validate(&self) -> Result<(), TaskError> {
         let named = [
             ("task.goal_diameter_m", self.goal_diameter_m),
+            ("task.goal_speed_m_s", self.goal_speed_m_s),
             ("task.goal_weight", self.goal_weight),
             ("task.tip_weight", self.tip_weight),
             ("task.torque_weight", self.torque_weight),
@@ -98,11 +103,11 @@ pub struct PushTask {
     object_geom: usize,                      // geom id
     object_qpos: usize,                      // address of the free joint in qpos
     object_dof: usize,                       // address of the free joint in qvel
-    goal: usize,                             // mocap index
-    start_low: Vec<f64>,                     // (9) motor coordinates, rad
-    start_high: Vec<f64>,                    // (9)
-    loop_rod: [f64; 3],                      // rod = a upper + b crank + c
-    loop_forearm: [f64; 3],                  // forearm likewise
+    pub(super) goal: Goal,
+    pub(super) start_low: Vec<f64>,  // (9) motor coordinates, rad
+    pub(super) start_high: Vec<f64>, // (9)
+    loop_rod: [f64; 3],              // rod = a upper + b crank + c
+    loop_forearm: [f64; 3],          // forearm likewise
 }
 
 impl PushTask {
@@ -134,10 +139,7 @@ impl PushTask {
         if object_joint + 1 != model.njnt() || model.nq() - object_qpos != 7 {
             return fail("joint `object` is not a free joint after all others".to_owned());
         }
-        let goal_body = model.id(ObjectKind::Body, "goal")?;
-        let Ok(goal) = usize::try_from(model.body_mocapid()[goal_body]) else {
-            return fail("body `goal` is not a mocap body".to_owned());
-        };
+        let goal = Goal::new(model, config.goal_diameter_m, config.goal_speed_m_s)?;
         let mut tips = [0; N_FINGER];
         let mut tip_geoms = [0; N_FINGER];
         for finger in 0..N_FINGER {
@@ -181,14 +183,12 @@ impl PushTask {
 
     /// The goal's position, m.
     pub fn goal<'a>(&self, data: &'a Data) -> &'a [f64] {
-        &data.mocap_pos()[3 * self.goal..3 * self.goal + 3]
+        self.goal.position(data)
     }
 
     /// Move the goal to (`x`, `y`), at its height.
     pub fn set_goal(&self, data: &mut Data, x: f64, y: f64) {
-        let goal = &mut data.mocap_pos_mut()[3 * self.goal..3 * self.goal + 3];
-        goal[0] = x;
-        goal[1] = y;
+        self.goal.set_position(data, [x, y]);
     }
 
     /// Joint positions of one draw of the start range, loops closed.
@@ -297,12 +297,13 @@ impl Task for PushTask {
     }
 
     fn new_goal(&self, data: &mut Data, rng: &mut Stream) -> Result<(), TaskError> {
-        // uniform in the disc: the radius of a share u of its area is R sqrt(u)
-        let radius = 0.5 * self.config.goal_diameter_m * rng::uniform(rng, 0.0, 1.0).sqrt();
-        let angle = rng::uniform(rng, 0.0, std::f64::consts::TAU);
-        self.set_goal(data, radius * angle.cos(), radius * angle.sin());
+        self.goal.draw(data, rng);
         data.step1()?;
         Ok(())
+    }
+
+    fn pass(&self, data: &mut Data, seconds: f64) {
+        self.goal.pass(data, seconds);
     }
 
     fn observe(&self, data: &Data, observation: &mut [f64]) {
@@ -314,17 +315,19 @@ impl Task for PushTask {
         observation[2 * N_JOINT + 3..].copy_from_slice(self.goal(data));
     }
 
-    /// The observation and the object's velocity in the plane, m/s. The policy must do without it, since measuring it
-    /// takes a state estimator; the value function need not, and most of the reward to come hangs on where the object
-    /// is about to slide.
+    /// The observation and the velocities of object and goal in the plane, m/s. The policy must do without them, since
+    /// measuring them takes a state estimator; the value function need not, and most of the reward to come hangs on where
+    /// the object is about to slide.
     fn n_value_input(&self) -> usize {
-        N_OBSERVATION + 2
+        N_OBSERVATION + 4
     }
 
     fn observe_value(&self, data: &Data, input: &mut [f64]) {
         let (observation, velocity) = input.split_at_mut(N_OBSERVATION);
         self.observe(data, observation);
-        velocity.copy_from_slice(&data.qvel()[self.object_dof..self.object_dof + 2]);
+        let (object, goal) = velocity.split_at_mut(2);
+        object.copy_from_slice(&data.qvel()[self.object_dof..self.object_dof + 2]);
+        goal.copy_from_slice(&self.goal.velocity(data));
     }
 
     fn reward(&self, data: &Data) -> f64 {

@@ -1,6 +1,6 @@
-//! Turns under which a task is unchanged, which make one sample worth several.
+//! Turns and mirror images, *turns* for short, that leave a task unchanged and make one sample worth several.
 //!
-//! Three equal robots around a round object are the same machine after a turn by 120°. Where observations turn by an
+//! Three equal robots around a round object are the same machine after a turn by 120°, and in a mirror. Where observations turn by an
 //! orthogonal O and actions by a signed permutation A,
 //!
 //! ```text
@@ -37,6 +37,16 @@ pub struct Symmetry {
 }
 
 impl Symmetry {
+    /// This one, and `next` after it.
+    #[must_use]
+    pub fn then(&self, next: &Self) -> Self {
+        Self {
+            action: &next.action * &self.action,
+            observation: &next.observation * &self.observation,
+            value_input: &next.value_input * &self.value_input,
+        }
+    }
+
     /// What the turn makes of parameters or a gradient, in the order of [`AffineGaussian::parameters`].
     pub fn turn(&self, parameters: &[f64]) -> Vec<f64> {
         let features = with_constant(&self.observation);
@@ -78,18 +88,20 @@ pub fn mean_of_parameters(turns: &[Symmetry], parameters: &[f64]) -> Vec<f64> {
         }
     }
     let scale = 1.0 / (1 + turns.len()) as f64;
-    mean.iter_mut().for_each(|value| *value *= scale);
+    for value in &mut mean {
+        *value *= scale;
+    }
     mean
 }
 
 /// The mean of `E[ψψᵀ]` over turns of ψ and none.
 pub fn mean_of_moments(
     turns: impl Iterator<Item = DMatrix<f64>>,
-    moments: DMatrix<f64>,
+    moments: &DMatrix<f64>,
 ) -> DMatrix<f64> {
     let (mut sum, mut count) = (moments.clone(), 1.0);
     for turn in turns {
-        sum += &turn * &moments * turn.transpose();
+        sum += &turn * moments * turn.transpose();
         count += 1.0;
     }
     sum / count

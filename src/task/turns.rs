@@ -1,8 +1,11 @@
-//! The turns by 120° and 240° of the pushing task: each finger takes the place of the one before it.
+//! What leaves the pushing task unchanged: turns by 120°, where each finger takes the place of the one before it, and the
+//! mirror image across the plane of finger 0, where the other two change places and all turrets turn the other way.
 //!
-//! Whether a model is the same machine after a turn is asked of the engine: random motions are simulated, and turned, from
-//! turned states under turned torques. That covers whatever a file, a supplement or an identification has changed, but
-//! for contacts of the fingers, which those motions seldom make: their properties are compared one by one.
+//! Whether a model is the same machine after them is asked of the engine: random motions are simulated, and simulated again
+//! turned, from turned states under turned torques. That covers whatever a file, a supplement or an identification has
+//! changed, but for contacts of the fingers, which those motions seldom make: their properties are compared one by one.
+
+use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
@@ -14,37 +17,63 @@ use crate::rng::{self, Purpose};
 
 /// Random motions.
 const MOTIONS: u64 = 8;
-/// Physics steps of each, or fewer: until a fingertip touches something.
-const STEPS: usize = 10;
+/// Length of each, s; or less, until a fingertip touches something.
+const DURATION_S: f64 = 0.008;
+const MAX_STEPS: usize = 100;
 /// Spread of their torques, N m.
 const TORQUE_SIGMA: f64 = 0.3;
-/// Difference of positions and velocities that the solver's rounding explains, rad, m, rad/s, m/s.
-const TOLERANCE: f64 = 1e-6;
+/// Difference of joint velocities, as a share of the largest, below which robots are equal: the shipped one is its own mirror
+/// image but for a product of inertia, which makes 0.03 %; robots of one series differ by percents.
+const ALIKE: f64 = 0.002;
+/// The same for whatever else is seen, rad, m, m/s.
+const PLACE: f64 = 1e-4;
 
 impl PushTask {
-    /// The turns under which `model` is the same machine: two or none.
+    /// What `model` is the same machine after: all of turns and mirror images, one kind of them, or none.
     ///
     /// # Errors
     /// When the engine fails or no start is found.
-    pub fn symmetries(&self, model: &std::sync::Arc<Model>) -> Result<Vec<Symmetry>, TaskError> {
-        let once = turn(1);
-        let [mut data, mut turned] = [
-            Data::new(std::sync::Arc::clone(model))?,
-            Data::new(std::sync::Arc::clone(model))?,
-        ];
-        if !self.fingers_touch_alike(model) {
-            return Ok(Vec::new());
+    pub fn symmetries(&self, model: &Arc<Model>) -> Result<Vec<Symmetry>, TaskError> {
+        let (turn, mirror) = (turn(), mirror());
+        let mut all = Vec::new();
+        if self.holds(&turn, model)? {
+            all.extend([turn.clone(), turn.then(&turn)]);
         }
+        if self.holds(&mirror, model)? {
+            let mirrored: Vec<Symmetry> = all.iter().map(|turn| mirror.then(turn)).collect();
+            all.extend(mirrored);
+            all.push(mirror);
+        }
+        Ok(all)
+    }
+
+    /// Whether the task on `model` is unchanged by `turn`.
+    fn holds(&self, turn: &Symmetry, model: &Arc<Model>) -> Result<bool, TaskError> {
+        if !(self.starts_alike(turn) && self.fingers_touch_alike(turn, model)) {
+            return Ok(false);
+        }
+        let [mut data, mut turned] = [Data::new(Arc::clone(model))?, Data::new(Arc::clone(model))?];
         let mut compared = 0;
         for index in 0..MOTIONS {
-            match self.moves_alike(&once, index, &mut data, &mut turned)? {
+            match self.moves_alike(turn, index, &mut data, &mut turned)? {
                 Some(steps) => compared += steps,
-                None => return Ok(Vec::new()),
+                None => return Ok(false),
             }
         }
-        // a model of which nothing could be compared is not known to have any
-        let turns = if compared > 0 { 1..N_FINGER } else { 0..0 };
-        Ok(turns.map(turn).collect())
+        // a model of which nothing could be compared is not known to have it
+        Ok(compared > 0)
+    }
+
+    /// Whether starts are drawn from the same range of motor coordinates.
+    fn starts_alike(&self, turn: &Symmetry) -> bool {
+        let ends = self.start_low.iter().zip(&self.start_high);
+        let (middle, width): (Vec<f64>, Vec<f64>) = ends.map(|(a, b)| (a + b, b - a)).unzip();
+        let same = |matrix: &DMatrix<f64>, x: &[f64]| {
+            let mut turned = vec![0.0; x.len()];
+            apply(matrix, x, &mut turned);
+            turned.iter().zip(x).all(|(a, b)| (a - b).abs() < PLACE)
+        };
+        same(&turn.action, &middle) && same(&turn.action.abs(), &width)
     }
 
     /// In how many steps a random motion of `data` is, turned, that of `turned`; none if it is not in one of them.
@@ -68,33 +97,55 @@ impl PushTask {
             .collect();
         data.ctrl_mut().copy_from_slice(&action);
         apply(&turn.action, &action, turned.ctrl_mut());
-        let n = self.n_value_input();
-        let (mut seen, mut expected, mut found) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
-        for step in 0..STEPS {
+        let steps = (DURATION_S / data.model().timestep()).ceil() as usize;
+        let steps = steps.min(MAX_STEPS);
+        for step in 0..steps {
             data.step()?;
             turned.step()?;
             if self.is_touching(data) {
                 return Ok(Some(step));
             }
-            self.observe_value(data, &mut seen);
-            self.observe_value(turned, &mut found);
-            apply(&turn.value_input, &seen, &mut expected);
-            let differs = |(a, b): (&f64, &f64)| (a - b).abs() > TOLERANCE;
-            if expected.iter().zip(&found).any(differs) {
+            if !self.looks_alike(turn, &place, data, turned) {
                 return Ok(None);
             }
-            // joints do not tell where a robot stands
-            for finger in 0..N_FINGER {
-                let next = self.tip(turned, (finger + 1) % N_FINGER);
-                let mut expected = self.tip(data, finger);
-                let [x, y, _] = expected;
-                apply(&place, &[x, y], &mut expected[..2]);
-                if expected.iter().zip(&next).any(differs) {
-                    return Ok(None);
-                }
-            }
         }
-        Ok(Some(STEPS))
+        Ok(Some(steps))
+    }
+
+    /// Whether what is seen of `data` is, turned, what is seen of `turned`.
+    fn looks_alike(
+        &self,
+        turn: &Symmetry,
+        place: &DMatrix<f64>,
+        data: &Data,
+        turned: &Data,
+    ) -> bool {
+        let n = self.n_value_input();
+        let (mut seen, mut expected, mut found) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
+        self.observe_value(data, &mut seen);
+        self.observe_value(turned, &mut found);
+        apply(&turn.value_input, &seen, &mut expected);
+        let velocities = N_JOINT..2 * N_JOINT;
+        let speeds = expected[velocities.clone()].iter().map(|v| v.abs());
+        let fastest = speeds.fold(0.0, f64::max);
+        let tolerance = |i: usize| {
+            if velocities.contains(&i) {
+                ALIKE * fastest
+            } else {
+                PLACE
+            }
+        };
+        let mut pairs = expected.iter().zip(&found).enumerate();
+        // joints do not tell where a robot stands
+        let tip_alike = |finger: usize| {
+            let found = self.tip(turned, next_finger(turn, finger));
+            let mut expected = self.tip(data, finger);
+            let [x, y, _] = expected;
+            apply(place, &[x, y], &mut expected[..2]);
+            let mut pairs = expected.iter().zip(&found);
+            pairs.all(|(a, b)| (a - b).abs() <= PLACE)
+        };
+        pairs.all(|(i, (a, b))| (a - b).abs() <= tolerance(i)) && (0..N_FINGER).all(tip_alike)
     }
 
     fn is_touching(&self, data: &Data) -> bool {
@@ -117,14 +168,17 @@ impl PushTask {
         let mut xy = [0.0; 2];
         apply(place, &goal[..2], &mut xy);
         self.set_goal(turned, xy[0], xy[1]);
+        let mut heading = [0.0; 2];
+        apply(place, &self.goal.heading(data), &mut heading);
+        self.goal.set_heading(turned, heading);
         apply(place, &object[..2], &mut xy);
         self.object_mut(turned)[..2].copy_from_slice(&xy);
     }
 
     /// Whether the fingertips have the same size and touch everything in the same way.
-    fn fingers_touch_alike(&self, model: &Model) -> bool {
+    fn fingers_touch_alike(&self, turn: &Symmetry, model: &Model) -> bool {
         let next = |geom: usize| match self.tip_geoms.iter().position(|tip| *tip == geom) {
-            Some(finger) => self.tip_geoms[(finger + 1) % N_FINGER],
+            Some(finger) => self.tip_geoms[next_finger(turn, finger)],
             None => geom,
         };
         let of_geom = |geom: usize| {
@@ -171,28 +225,48 @@ impl PushTask {
     }
 }
 
-/// The turn by `k` times 120°.
-fn turn(k: usize) -> Symmetry {
-    let n = N_OBSERVATION + 2;
+/// The finger whose place `finger` takes.
+fn next_finger(turn: &Symmetry, finger: usize) -> usize {
+    let turret = turn.action.column(finger * (N_MOTOR / N_FINGER));
+    turret.iamax() / (N_MOTOR / N_FINGER)
+}
+
+/// The turn by 120°.
+fn turn() -> Symmetry {
+    let (sin, cos) = (std::f64::consts::TAU / N_FINGER as f64).sin_cos();
+    symmetry([1, 2, 0], 1.0, [cos, sin, -sin, cos])
+}
+
+/// The mirror image across the plane of finger 0, x = 0.
+fn mirror() -> Symmetry {
+    symmetry([0, 2, 1], -1.0, [-1.0, 0.0, 0.0, 1.0])
+}
+
+/// Finger i takes the place of finger `to[i]`, its turret turning by `turret` times the angle, and what lies in the plane moves by
+/// the matrix `plane`, column by column.
+fn symmetry(to: [usize; N_FINGER], turret: f64, plane: [f64; 4]) -> Symmetry {
+    let n = N_OBSERVATION + 4;
     let mut action = DMatrix::zeros(N_MOTOR, N_MOTOR);
     let mut value_input = DMatrix::zeros(n, n);
-    // each finger's angles and torques become those of the finger k further on
-    let further = |i: usize, per_finger: usize| (i + k * per_finger) % (N_FINGER * per_finger);
-    for i in 0..N_MOTOR {
-        action[(further(i, N_MOTOR / N_FINGER), i)] = 1.0;
+    let sign = |i: usize| if i == 0 { turret } else { 1.0 };
+    for (from, to) in to.into_iter().enumerate() {
+        let n_motor = N_MOTOR / N_FINGER;
+        for i in 0..n_motor {
+            action[(n_motor * to + i, n_motor * from + i)] = sign(i);
+        }
+        for first in [0, N_JOINT] {
+            for i in 0..JOINTS.len() {
+                let [to, from] = [to, from].map(|finger| first + JOINTS.len() * finger + i);
+                value_input[(to, from)] = sign(i);
+            }
+        }
     }
-    for i in 0..N_JOINT {
-        let to = further(i, JOINTS.len());
-        value_input[(to, i)] = 1.0;
-        value_input[(N_JOINT + to, N_JOINT + i)] = 1.0;
-    }
-    // object and goal turn about the vertical, and so does the object's velocity
-    let (sin, cos) = (k as f64 * std::f64::consts::TAU / N_FINGER as f64).sin_cos();
+    // places of object and goal, then their velocities
     let (object, goal) = (2 * N_JOINT, 2 * N_JOINT + 3);
-    for at in [object, goal, N_OBSERVATION] {
+    for at in [object, goal, N_OBSERVATION, N_OBSERVATION + 2] {
         value_input
             .view_mut((at, at), (2, 2))
-            .copy_from_slice(&[cos, sin, -sin, cos]);
+            .copy_from_slice(&plane);
     }
     for at in [object, goal] {
         value_input[(at + 2, at + 2)] = 1.0;

@@ -81,10 +81,10 @@ pub struct ScheduleConfig {
 impl Default for ScheduleConfig {
     fn default() -> Self {
         Self {
-            iterations: 80,
+            iterations: 60,
             seed: 0,
-            trajectories: 600,
-            max_trajectories: 1200,
+            trajectories: 200,
+            max_trajectories: 800,
             growth_cosine: 0.0,
             trajectory_s: 1.0,
             timestep_s: 0.004,

@@ -291,9 +291,10 @@ impl Trainer {
         // policy and value function
         let update_begin = Instant::now();
         let (policy, baseline) = (&mut self.state.policy, &mut self.state.baseline);
-        let symmetries = match symmetry::has_all(&self.symmetries, policy) {
-            true => self.symmetries.as_slice(),
-            false => &[],
+        let symmetries = if symmetry::has_all(&self.symmetries, policy) {
+            self.symmetries.as_slice()
+        } else {
+            &[]
         };
         let known = Known {
             horizon: self.sampler.config().horizon,

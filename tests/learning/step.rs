@@ -237,6 +237,7 @@ fn diverged() -> Diverged {
         step: 3,
         start,
         mocap_pos: vec![],
+        mocap_quat: vec![],
         actions: vec![],
     }
 }

@@ -269,3 +269,46 @@ fn a_start_that_cannot_be_clear_is_an_error() {
         "{error}"
     );
 }
+
+#[test]
+fn a_goal_moves_straight_on_within_its_disc() {
+    let (radius, speed, control_s) = (0.06, 0.2, 0.008);
+    let model = phantom_model();
+    let task = |goal_speed_m_s| {
+        let config = PushConfig {
+            goal_speed_m_s,
+            ..PushConfig::default()
+        };
+        PushTask::new(&model, config).expect("task")
+    };
+    let (moving, still) = (task(speed), task(0.0));
+    let mut data = Data::new(Arc::new(model.clone())).expect("data");
+    let mut turns = 0;
+    for index in 0..20 {
+        moving.start(&mut data, &mut stream(index)).expect("start");
+        let mut last: Option<[f64; 2]> = None;
+        for _ in 0..125 {
+            let before = [moving.goal(&data)[0], moving.goal(&data)[1]];
+            still.pass(&mut data, control_s);
+            assert_eq!(moving.goal(&data)[..2], before);
+            moving.pass(&mut data, control_s);
+            let after = [moving.goal(&data)[0], moving.goal(&data)[1]];
+            let step = [after[0] - before[0], after[1] - before[1]];
+            assert!((step[0].hypot(step[1]) - speed * control_s).abs() < 1e-12);
+            assert!(after[0].hypot(after[1]) < radius + speed * control_s);
+            let mut input = vec![0.0; moving.n_value_input()];
+            moving.observe_value(&data, &mut input);
+            for (seen, step) in input[38..].iter().zip(step) {
+                assert!((seen * control_s - step).abs() < 1e-12);
+            }
+            if let Some(last) = last {
+                let straight = (step[0] - last[0]).hypot(step[1] - last[1]) < 1e-9;
+                let at_edge = before[0].hypot(before[1]) > radius;
+                assert!(straight || at_edge);
+                turns += u32::from(!straight);
+            }
+            last = Some(step);
+        }
+    }
+    assert!(turns > 10, "{turns}");
+}

@@ -138,6 +138,13 @@ fn a_sound_dump_replays_without_a_breakdown_and_a_bad_one_is_refused() {
         ),
         (
             Diverged {
+                mocap_quat: vec![0.0; 3],
+                ..good.clone()
+            },
+            "mocap_quat needs 4 numbers, got 3",
+        ),
+        (
+            Diverged {
                 actions: vec![0.0; 3],
                 ..good.clone()
             },

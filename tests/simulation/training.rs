@@ -177,6 +177,23 @@ fn settings_out_of_range_are_named() {
 }
 
 #[test]
+fn examples_are_settings() {
+    for entry in std::fs::read_dir("examples").expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.extension().is_none_or(|e| e != "toml") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).expect("readable");
+        let config: TrainConfig =
+            toml::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        config
+            .validate()
+            .unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        assert_ne!(config, TrainConfig::default());
+    }
+}
+
+#[test]
 fn breakdowns_are_handed_out_even_when_nothing_is_left_to_learn_from() {
     let mut trainer = Trainer::new(unlimited_model(), config(0), 1).expect("trainer");
     let mut checkpoint = trainer.checkpoint().clone();

@@ -12,7 +12,11 @@ use phantom::train::config::TrainConfig;
 
 /// At the model's own time step and at that of training.
 fn n_turn(mut model: Model) -> usize {
-    let task = PushTask::new(&model, PushConfig::default()).expect("task");
+    let config = PushConfig {
+        goal_speed_m_s: 0.1,
+        ..PushConfig::default()
+    };
+    let task = PushTask::new(&model, config).expect("task");
     let fine = task
         .symmetries(&Arc::new(model.clone()))
         .expect("turns")
@@ -28,22 +32,32 @@ fn n_turn(mut model: Model) -> usize {
 }
 
 #[test]
-fn equal_robots_have_two_turns() {
-    assert_eq!(n_turn(phantom_model()), 2);
+fn equal_robots_have_two_turns_and_three_mirror_images() {
+    assert_eq!(n_turn(phantom_model()), 5);
+}
+
+#[test]
+fn what_one_robot_lacks_may_leave_the_mirror_image() {
+    // finger 0 is its own mirror image
+    let (of, changed) = (r#"<joint name="p0_upper""#, r#" damping="0.01""#);
+    assert_eq!(n_turn(phantom_model_with(of, &format!("{of}{changed}"))), 1);
+    // an arm bent to one side is not
+    let (of, changed) = ("name=\"p0_tip\" class=\"tip\"", " pos=\"0 0.001 0\"");
+    assert_eq!(n_turn(phantom_model_with(of, &format!("{of}{changed}"))), 0);
 }
 
 #[test]
 fn whatever_tells_robots_apart_leaves_none() {
     for (of, changed) in [
-        (r#"<motor name="p1_m2""#, r#" gear="1.01""#),
-        (r#"<joint name="p1_upper""#, r#" damping="0.0021""#),
+        (r#"<motor name="p1_m2""#, r#" gear="1.05""#),
+        (r#"<joint name="p1_upper""#, r#" damping="0.01""#),
         (r#"<geom name="p1_tip""#, r#" size="0.0101""#),
         (
             r#"<pair name="p1_table""#,
             r#" friction="0.5 0.5 0.005 0.0001 0.0001""#,
         ),
-        (r#"<pair name="p1_p2""#, r#" solref="0.009 1""#),
-        (r#"<body name="p1_turret""#, r#" quat="1 0.001 0 0""#),
+        (r#"<pair name="p0_p1""#, r#" solref="0.009 1""#),
+        (r#"<body name="p1_turret""#, r#" quat="1 0.01 0 0""#),
     ] {
         let model = phantom_model_with(of, &format!("{of}{changed}"));
         assert_eq!(n_turn(model), 0, "{of}{changed}");
@@ -68,7 +82,7 @@ fn a_policy_stays_the_same_after_turns() {
     }
     let policy = &trainer.checkpoint().policy;
     assert!(policy.weights().iter().any(|w| *w != 0.0));
-    assert_eq!(trainer.symmetries().len(), 2);
+    assert_eq!(trainer.symmetries().len(), 5);
     assert!(has_all(trainer.symmetries(), policy));
 }
 

@@ -224,7 +224,7 @@ fn summarise(trainer: &Trainer, folder: &Path, message_bytes: u64) {
     );
     if !trainer.symmetries().is_empty() {
         println!(
-            "the policy is the same after each of {} turns of the machine (train.symmetric)",
+            "the policy is the same after each of {} turns and mirror images of the machine (train.symmetric)",
             trainer.symmetries().len()
         );
     }
