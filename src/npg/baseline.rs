@@ -197,16 +197,15 @@ pub fn fit(
             let phase = deal.mine()[place] / 2 % stride;
             for (t, (observation, y)) in rows.skip(phase).step_by(stride) {
                 let time = t as f64 / known.horizon as f64;
-                gram.push(|panel| {
-                    shape.features(observation, time, panel);
-                    panel.push(*y);
-                });
-                for symmetry in known.symmetries {
-                    let turned = &symmetry.value_input * DVector::from_column_slice(observation);
+                let mut add = |seen: &[f64]| {
                     gram.push(|panel| {
-                        shape.features(turned.as_slice(), time, panel);
+                        shape.features(seen, time, panel);
                         panel.push(*y);
                     });
+                };
+                add(observation);
+                for turn in known.symmetries {
+                    add(symmetry::apply(&turn.value_input, observation).as_slice());
                 }
             }
         }

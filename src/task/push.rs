@@ -29,6 +29,8 @@ pub(super) const JOINTS: [&str; 5] = ["turret", "upper", "crank", "rod", "forear
 pub(super) const N_JOINT: usize = N_FINGER * JOINTS.len();
 pub(super) const N_MOTOR: usize = 3 * N_FINGER;
 pub(super) const N_OBSERVATION: usize = 2 * N_JOINT + 6;
+/// The observation and the velocities of object and goal in the plane.
+pub(super) const N_VALUE_INPUT: usize = N_OBSERVATION + 4;
 const START_TRIES: usize = 100;
 
 /// How the distance of a fingertip to the object is measured.
@@ -212,12 +214,11 @@ impl PushTask {
         }
     }
 
-    fn touches_object(&self, data: &Data) -> bool {
-        data.contacts().iter().any(|contact| {
-            let [a, b] = contact.geoms();
-            let tip = |g| self.tip_geoms.contains(&g);
-            (a == self.object_geom && tip(b)) || (b == self.object_geom && tip(a))
-        })
+    /// Whether a fingertip touches a geom of which `what` is true.
+    pub(super) fn is_touching(&self, data: &Data, what: impl Fn(usize) -> bool) -> bool {
+        let tip = |geom| self.tip_geoms.contains(&geom);
+        let mut contacts = data.contacts().iter().map(|contact| contact.geoms());
+        contacts.any(|[a, b]| (tip(a) && what(b)) || (tip(b) && what(a)))
     }
 }
 
@@ -289,7 +290,7 @@ impl Task for PushTask {
             data.clear_warnings();
             self.draw_joints(data, rng);
             self.new_goal(data, rng)?;
-            if !self.touches_object(data) {
+            if !self.is_touching(data, |geom| geom == self.object_geom) {
                 return Ok(());
             }
         }
@@ -319,7 +320,7 @@ impl Task for PushTask {
     /// measuring them takes a state estimator; the value function need not, and most of the reward to come hangs on where
     /// the object is about to slide.
     fn n_value_input(&self) -> usize {
-        N_OBSERVATION + 4
+        N_VALUE_INPUT
     }
 
     fn observe_value(&self, data: &Data, input: &mut [f64]) {

@@ -18,7 +18,7 @@
 //! | A, O | `action`, `observation` |
 //! | ψ | features of the score, a constant last |
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use crate::policy::AffineGaussian;
 
@@ -61,14 +61,20 @@ impl Symmetry {
 
     /// [`Self::turn`] as a matrix.
     pub fn of_parameters(&self) -> DMatrix<f64> {
-        let n = self.action.nrows();
-        let weights = self.action.kronecker(&with_constant(&self.observation));
-        let n_weight = weights.nrows();
-        let mut all = weights.resize(n_weight + n, n_weight + n, 0.0);
-        all.view_mut((n_weight, n_weight), (n, n))
-            .copy_from(&self.action.abs());
+        let n = self.action.nrows() * (self.observation.nrows() + 2);
+        let mut all = DMatrix::zeros(n, n);
+        for (i, mut column) in all.column_iter_mut().enumerate() {
+            let mut unit = vec![0.0; n];
+            unit[i] = 1.0;
+            column.copy_from_slice(&self.turn(&unit));
+        }
         all
     }
+}
+
+/// M x.
+pub fn apply(turn: &DMatrix<f64>, x: &[f64]) -> DVector<f64> {
+    turn * DVector::from_column_slice(x)
 }
 
 /// diag(O, 1).
