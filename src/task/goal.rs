@@ -4,12 +4,17 @@
 //! a high gain; one for a goal that moves is never done. Evaluation moves the goal, too ([`super::spiral`]), along another
 //! path and at other speeds.
 //!
+//! A goal that is put far from the object asks for low gains: the force of an affine policy grows with the distance, and
+//! one that follows closely would throw the object off the table. Where goals only ever move on, as in the evaluation, that
+//! need not be learned ([`PushConfig::goal_jump_m`]).
+//!
 //! A goal that moves goes straight on at one speed in the direction of its x axis, mirrored at the edge of the disc. Its
 //! whole state is thus its pose.
 
 use std::f64::consts::TAU;
 
 use super::TaskError;
+use super::push::PushConfig;
 use crate::mujoco::{Data, Model, ObjectKind};
 use crate::rng::{self, Stream};
 
@@ -19,14 +24,15 @@ pub(super) struct Goal {
     mocap: usize,
     radius_m: f64,
     speed_m_s: f64,
+    jump_m: Option<f64>,
 }
 
 impl Goal {
-    /// The body `goal` of `model` in a disc of `diameter_m` around the origin.
+    /// The body `goal` of `model`, to be moved as `config` says, around the origin.
     ///
     /// # Errors
     /// When there is no such mocap body.
-    pub(super) fn new(model: &Model, diameter_m: f64, speed_m_s: f64) -> Result<Self, TaskError> {
+    pub(super) fn new(model: &Model, config: &PushConfig) -> Result<Self, TaskError> {
         let body = model.id(ObjectKind::Body, "goal")?;
         let Ok(mocap) = usize::try_from(model.body_mocapid()[body]) else {
             return Err(TaskError::Model {
@@ -35,8 +41,9 @@ impl Goal {
         };
         Ok(Self {
             mocap,
-            radius_m: 0.5 * diameter_m,
-            speed_m_s,
+            radius_m: 0.5 * config.goal_diameter_m,
+            speed_m_s: config.goal_speed_m_s,
+            jump_m: config.goal_jump_m,
         })
     }
 
@@ -69,12 +76,18 @@ impl Goal {
         self.heading(data).map(|x| self.speed_m_s * x)
     }
 
-    /// Put it anywhere in the disc.
-    pub(super) fn draw(&self, data: &mut Data, rng: &mut Stream) {
+    /// Put it anywhere in the disc; or, where jumps are limited, anywhere so near to `object`, and then into the disc.
+    pub(super) fn draw(&self, data: &mut Data, object: [f64; 2], rng: &mut Stream) {
+        let (centre, farthest) = match self.jump_m {
+            None => ([0.0; 2], self.radius_m),
+            Some(jump) => (object, jump),
+        };
         // uniform: the radius of a share u of the area is R sqrt(u)
-        let radius = self.radius_m * rng::uniform(rng, 0.0, 1.0).sqrt();
+        let radius = farthest * rng::uniform(rng, 0.0, 1.0).sqrt();
         let (sin, cos) = rng::uniform(rng, 0.0, TAU).sin_cos();
-        self.set_position(data, [radius * cos, radius * sin]);
+        let place = [centre[0] + radius * cos, centre[1] + radius * sin];
+        let outside = (place[0].hypot(place[1]) / self.radius_m).max(1.0);
+        self.set_position(data, place.map(|x| x / outside));
         if self.speed_m_s > 0.0 {
             let (sin, cos) = rng::uniform(rng, 0.0, TAU).sin_cos();
             self.set_heading(data, [cos, sin]);

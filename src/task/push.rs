@@ -51,6 +51,9 @@ pub struct PushConfig {
     pub goal_diameter_m: f64,
     /// speed of the goal within the disc, m/s; 0: it stands still (paper)
     pub goal_speed_m_s: f64,
+    /// how far from the object a new goal may be, m; anywhere in the disc when absent (paper)
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goal_jump_m: Option<f64>,
     /// weight of the distance between object and goal, 1/m (paper: 3)
     pub goal_weight: f64,
     /// weight of the distance between each fingertip and the object, 1/m (paper: 1)
@@ -66,6 +69,7 @@ impl Default for PushConfig {
         Self {
             goal_diameter_m: 0.12,
             goal_speed_m_s: 0.0,
+            goal_jump_m: None,
             goal_weight: 3.0,
             tip_weight: 1.0,
             torque_weight: 0.1,
@@ -79,6 +83,7 @@ impl PushConfig {
         let named = [
             ("task.goal_diameter_m", self.goal_diameter_m),
             ("task.goal_speed_m_s", self.goal_speed_m_s),
+            ("task.goal_jump_m", self.goal_jump_m.unwrap_or(0.0)),
             ("task.goal_weight", self.goal_weight),
             ("task.tip_weight", self.tip_weight),
             ("task.torque_weight", self.torque_weight),
@@ -141,7 +146,7 @@ impl PushTask {
         if object_joint + 1 != model.njnt() || model.nq() - object_qpos != 7 {
             return fail("joint `object` is not a free joint after all others".to_owned());
         }
-        let goal = Goal::new(model, config.goal_diameter_m, config.goal_speed_m_s)?;
+        let goal = Goal::new(model, &config)?;
         let mut tips = [0; N_FINGER];
         let mut tip_geoms = [0; N_FINGER];
         for finger in 0..N_FINGER {
@@ -298,7 +303,8 @@ impl Task for PushTask {
     }
 
     fn new_goal(&self, data: &mut Data, rng: &mut Stream) -> Result<(), TaskError> {
-        self.goal.draw(data, rng);
+        let [x, y] = [0, 1].map(|axis| self.object(data)[axis]);
+        self.goal.draw(data, [x, y], rng);
         data.step1()?;
         Ok(())
     }

@@ -312,3 +312,44 @@ fn a_goal_moves_straight_on_within_its_disc() {
     }
     assert!(turns > 10, "{turns}");
 }
+
+#[test]
+fn a_goal_jumps_no_farther_than_it_may_and_stays_in_its_disc() {
+    let (radius, jump) = (0.06, 0.02);
+    let model = phantom_model();
+    let config = PushConfig {
+        goal_jump_m: Some(jump),
+        ..PushConfig::default()
+    };
+    let task = PushTask::new(&model, config).expect("task");
+    let mut data = Data::new(Arc::new(model.clone())).expect("data");
+    let object = model.id(ObjectKind::Joint, "object").expect("joint");
+    let at = model.jnt_qposadr()[object] as usize;
+    for place in [[0.0, 0.0], [0.03, -0.02], [0.055, 0.0], [0.2, 0.2]] {
+        let (mut farthest, mut nearest) = (0.0_f64, f64::INFINITY);
+        for index in 0..100 {
+            data.qpos_mut()[at..at + 2].copy_from_slice(&place);
+            task.new_goal(&mut data, &mut stream(index)).expect("goal");
+            let goal = [task.goal(&data)[0], task.goal(&data)[1]];
+            assert!(goal[0].hypot(goal[1]) < radius + 1e-12);
+            let distance = (goal[0] - place[0]).hypot(goal[1] - place[1]);
+            (farthest, nearest) = (farthest.max(distance), nearest.min(distance));
+        }
+        if place[0] < 0.1 {
+            assert!(
+                farthest < jump + 1e-12 && farthest > 0.9 * jump,
+                "{farthest}"
+            );
+            assert!(nearest < 0.2 * jump, "{nearest}");
+        } else {
+            // an object outside has its goal on the edge
+            assert!(nearest > 0.2, "{nearest}");
+        }
+    }
+    let bad = PushConfig {
+        goal_jump_m: Some(-0.01),
+        ..PushConfig::default()
+    };
+    let error = PushTask::new(&model, bad).expect_err("negative");
+    assert!(error.to_string().contains("`task.goal_jump_m`"), "{error}");
+}
