@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::goal::Goal;
 use super::{ObservationGroup, Task, TaskError};
-use crate::mujoco::{Data, Model, ObjectKind};
+use crate::mujoco::{Contact, Data, Model, ObjectKind};
 use crate::rng::{self, Stream};
 
 /// Number of fingers.
@@ -222,7 +222,7 @@ impl PushTask {
     /// Whether a fingertip touches a geom of which `what` is true.
     pub(super) fn is_touching(&self, data: &Data, what: impl Fn(usize) -> bool) -> bool {
         let tip = |geom| self.tip_geoms.contains(&geom);
-        let mut contacts = data.contacts().iter().map(|contact| contact.geoms());
+        let mut contacts = data.contacts().iter().map(Contact::geoms);
         contacts.any(|[a, b]| (tip(a) && what(b)) || (tip(b) && what(a)))
     }
 }
