@@ -24,6 +24,8 @@ const WARM_UP: usize = 3;
 const TIMED: usize = 60;
 /// Of which the fastest counts: what else runs on the machine can only slow one down.
 const PASSES: usize = 25;
+/// Trajectories of the updates that are timed: from what a process has when there are many to more than all.
+const UPDATES: [usize; 4] = [8, 50, 200, 600];
 
 #[allow(clippy::print_stdout)] // an example
 fn main() -> Result<(), Failure> {
@@ -117,8 +119,9 @@ fn phases() -> Result<serde_json::Value, Failure> {
         let times = (0..PASSES).map(install);
         fastest(times)
     };
-    let (few, many) = (update(150)?, update(600)?);
-    let slope = (many - few) / 450.0;
+    let points = UPDATES.map(|n| update(n).map(|seconds| (n as f64, seconds)));
+    let points = points.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let (constant, slope) = line(&points);
 
     let begin = sampler.threads().install(busy_s)?;
     let evaluation = trainer.evaluate(1)?;
@@ -128,9 +131,28 @@ fn phases() -> Result<serde_json::Value, Failure> {
         "rollout_s": mean,
         "rollout_sigma_s": variance.sqrt(),
         "update_s_per_trajectory": slope,
-        "update_s": few - 150.0 * slope,
+        "update_s": constant,
+        "updates": points.iter().map(|&(n, seconds)| serde_json::json!({
+            "trajectories": n, "seconds": seconds, "line_s": constant + slope * n,
+        })).collect::<Vec<_>>(),
         "evaluation_rollout_s": evaluation_s,
     }))
+}
+
+/// The line `a + b n` through points `(n, t)` of least relative errors. By least squares of seconds, the error of the longest
+/// update would decide the constant part, and make it negative.
+fn line(points: &[(f64, f64)]) -> (f64, f64) {
+    let rows = nalgebra::DMatrix::from_fn(points.len(), 2, |row, column| {
+        let (n, seconds) = points[row];
+        [1.0, n][column] / seconds
+    });
+    let ones = nalgebra::DVector::repeat(points.len(), 1.0);
+    let normal = rows.tr_mul(&rows);
+    let solution = normal.cholesky().map_or_else(
+        || nalgebra::DVector::repeat(2, f64::NAN),
+        |f| f.solve(&rows.tr_mul(&ones)),
+    );
+    (solution[0], solution[1])
 }
 
 /// Seconds this thread has had a processor: other programs on the machine do not count.

@@ -4,7 +4,7 @@
     cargo build --release --features mpi --example scaling
     target/release/examples/scaling > phases.json
     mpirun -n 2 target/release/examples/scaling > sums.json
-    mpi_scaling.py phases.json sums.json --bytes 1735000 [--trajectories 600]
+    mpi_scaling.py phases.json sums.json --bytes 1630000 [--trajectories 200]
 
 BYTES is what a process sends in an iteration, `message_bytes` of metrics.csv of a run on two processes. With N trajectories
 on n processes, of which each takes m = N/n,
@@ -12,7 +12,7 @@ on n processes, of which each takes m = N/n,
     T(n) = m r + sigma sqrt(2 m ln n)  +  c + d m  +  s log2 n
 
 where r and sigma are mean and spread of a rollout's time (the second term is the slowest of n processes), c and d the constant
-part and that of a trajectory in the update, s the time of one sum of BYTES between two processes of one machine. Between
+part and that of a trajectory in the update (a line through measured updates, in `updates`), s the time of one sum of BYTES between two processes of one machine. Between
 machines a sum is taken to last 50 microseconds and 1 ns a byte (10 Gbit Ethernet) longer.
 """
 import argparse
@@ -36,7 +36,7 @@ def main():
     parser.add_argument("phases", type=argparse.FileType(), help="of the example on one process")
     parser.add_argument("sums", type=argparse.FileType(), help="of the example on two processes")
     parser.add_argument("--bytes", type=float, required=True)
-    parser.add_argument("--trajectories", type=int, default=600)
+    parser.add_argument("--trajectories", type=int, default=200)
     options = parser.parse_args()
     phases, total = json.load(options.phases), options.trajectories
     one = sum_s(json.load(options.sums)["sums"], options.bytes)
