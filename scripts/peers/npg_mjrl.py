@@ -64,15 +64,18 @@ def conjugate_gradients(product, b, iterations=10):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cpu-seconds", type=float, default=120)
+    Budget.add_options(parser)
     parser.add_argument("--trajectories", type=int, default=80, help="an update (80 are 10,000 samples)")
-    parser.add_argument("--seed", type=int, default=0)
     a = parser.parse_args()
     rng, env = np.random.default_rng(a.seed), Push(a.seed + 1000)
     weights = 0.01 * rng.normal(size=(N_ACTION, N_OBSERVATION + 1))
     log_sigma, value, steps = np.full(N_ACTION, LOG_SIGMA), None, 0
-    budget = Budget(a.cpu_seconds)
-    while not budget.spent():
+    budget = Budget(a)
+
+    def policy(s):
+        return weights @ np.append(s, 1.0)
+
+    while not budget.spent(policy):
         paths = [rollout(env, weights, log_sigma, rng) for _ in range(a.trajectories)]
         steps += a.trajectories * HORIZON
         paths = [p for p in paths if p is not None]
@@ -107,7 +110,7 @@ def main():
         value = np.linalg.lstsq(gram, design.T @ returns, rcond=None)[0]
         if sys.stderr.isatty():
             print(f"\r{budget.used():.0f} s  reward {np.mean([p[2].mean() for p in paths]):.3f}", end="", file=sys.stderr)
-    cm = budget.evaluate(lambda s: weights @ np.append(s, 1.0))
+    cm = budget.evaluate(policy)
     report(f"NumPy NPG, mjrl's settings, seed {a.seed}", steps, budget, cm)
 
 

@@ -95,16 +95,29 @@ def spiral_cm(policy, rollouts=10, seed=1):
 
 
 class Budget:
-    """CPU seconds of this process, less those of evaluations."""
+    """CPU seconds of this process, less those of evaluations; or until the object follows the spiral well enough."""
 
-    def __init__(self, seconds):
-        self.seconds, self.begin, self.apart = seconds, time.process_time(), 0.0
+    def __init__(self, options):
+        self.options, self.begin, self.apart = options, time.process_time(), 0.0
+        self.next, self.reached = options.every, False
+
+    @staticmethod
+    def add_options(parser):
+        parser.add_argument("--cpu-seconds", type=float, default=120, help="at most [120]")
+        parser.add_argument("--until-cm", type=float, default=0.0, help="end when the spiral is followed so closely [never]")
+        parser.add_argument("--every", type=float, default=float("inf"), help="CPU seconds between evaluations [one, at the end]")
+        parser.add_argument("--seed", type=int, default=0)
 
     def used(self):
         return time.process_time() - self.begin - self.apart
 
-    def spent(self):
-        return self.used() >= self.seconds
+    def spent(self, policy):
+        if self.used() >= self.next:
+            self.next += self.options.every
+            cm = self.evaluate(policy)
+            self.reached = cm <= self.options.until_cm
+            print(f"{self.used():.0f} CPU s: spiral {cm:.2f} cm", file=sys.stderr, flush=True)
+        return self.reached or self.used() >= self.options.cpu_seconds
 
     def evaluate(self, policy):
         begin = time.process_time()

@@ -51,13 +51,13 @@ class Spent(Exception):
 class Stop(BaseCallback):
     """Ends training when the CPU time is spent: ARS does not look at what its callback returns."""
 
-    def __init__(self, budget):
+    def __init__(self, budget, policy):
         super().__init__()
-        self.budget, self.steps = budget, 0
+        self.budget, self.policy, self.steps = budget, policy, 0
 
     def _on_step(self):
         self.steps = self.num_timesteps
-        if self.budget.spent():
+        if self.budget.spent(self.policy):
             raise Spent
         return True
 
@@ -65,8 +65,7 @@ class Stop(BaseCallback):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("algorithm", choices=["trpo", "ars"])
-    parser.add_argument("--cpu-seconds", type=float, default=120)
-    parser.add_argument("--seed", type=int, default=0)
+    Budget.add_options(parser)
     a = parser.parse_args()
     torch.set_num_threads(1)
     envs = VecNormalize(DummyVecEnv([lambda: Env(a.seed + 1000)]), norm_obs=True, norm_reward=False)
@@ -77,18 +76,17 @@ def main():
         model = TRPO("MlpPolicy", envs, n_steps=80 * HORIZON, batch_size=500, policy_kwargs=settings, seed=a.seed, device="cpu")
     else:
         model = ARS("LinearPolicy", envs, seed=a.seed, device="cpu")
-    budget = Budget(a.cpu_seconds)
-    stop = Stop(budget)
-    try:
-        model.learn(10**9, callback=stop)
-    except Spent:
-        pass
-    envs.training = False
 
     def policy(s):
         action, _ = model.predict(envs.normalize_obs(s), deterministic=True)
         return action * limit
 
+    budget = Budget(a)
+    stop = Stop(budget, policy)
+    try:
+        model.learn(10**9, callback=stop)
+    except Spent:
+        pass
     cm = budget.evaluate(policy)
     report(f"SB3-contrib {a.algorithm.upper()}, seed {a.seed}", stop.steps, budget, cm)
 
