@@ -5,7 +5,6 @@ use std::sync::Arc;
 
 use super::CompareError;
 use crate::mujoco::{Data, Model, MujocoError};
-use crate::supplement::Supplement;
 
 /// Follows the samples of a recording; does nothing for a model without supplement.
 #[derive(Debug)]
@@ -21,11 +20,13 @@ type Controls<'a> = &'a dyn Fn(f64, &mut [f64]);
 
 impl Memory {
     pub(super) fn new(model: &Model) -> Result<Self, CompareError> {
-        let supplement = Supplement::of(model)?;
+        let extension = model.extension();
         Ok(Self {
             data: Data::new(Arc::new(model.try_clone()?))?,
-            active: model.extension().is_some(),
-            delay_s: supplement.map_or(0.0, |s| s.encoder_delay_s(model)),
+            active: extension.is_some(),
+            delay_s: extension
+                .and_then(|e| e.encoder_delay_s(model))
+                .unwrap_or(0.0),
         })
     }
 

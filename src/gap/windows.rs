@@ -20,6 +20,7 @@ use super::lying::Lying;
 use crate::mujoco::Model;
 use crate::sysid::SysidError;
 use crate::sysid::holdout::hold;
+use crate::sysid::path::Path;
 use crate::sysid::problem::{Problem, Sample, Stage, Trial};
 use crate::sysid::shooting::window::{State, Window};
 use crate::sysid::start;
@@ -124,6 +125,7 @@ impl Windows {
         let mut seen = 0;
         for (i, trial) in whole.trials.iter().enumerate() {
             let motion = start::trajectory(whole, trial, x)?;
+            let path = Path::new(motion.clone(), nq, h);
             let (n, steps) = (count(trial), trial.n_knots - 1);
             for w in 0..n {
                 let edge = |w: usize| w * steps / n / align * align;
@@ -133,6 +135,7 @@ impl Windows {
                     continue;
                 }
                 let mut part = part(whole, trial, first, last);
+                part.path = Some(path.from(first as f64 * h));
                 let own = &motion[first * nq..(last + 1) * nq];
                 let lies = lying.of(&part, own)?;
                 part.samples.retain(|s| !lies.channels.contains(&s.channel));
@@ -243,6 +246,7 @@ fn part(whole: &Problem, trial: &Trial, first: usize, last: usize) -> Trial {
         controls: controls.collect(),
         samples,
         recording: std::sync::Arc::clone(&trial.recording),
+        path: None,
     }
 }
 

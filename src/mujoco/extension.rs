@@ -65,6 +65,11 @@ pub trait Extension: std::fmt::Debug + Send + Sync {
     /// Position and velocity of a hinge or slide as its encoder shows them.
     fn encoder(&self, data: &Data, memory: &[f64], joint: usize) -> [f64; 2];
 
+    /// Seconds by which encoders show older positions and velocities than those in the simulation, if they ever do.
+    fn encoder_delay_s(&self, _model: &Model) -> Option<f64> {
+        None
+    }
+
     /// Whether trees that nothing of the engine ties together, contacts included, feel nothing of each other by it either.
     fn is_local(&self) -> bool {
         false

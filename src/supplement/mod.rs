@@ -129,12 +129,6 @@ impl Supplement {
         self.terms.iter().map(|t| (t.kind.name, t.element.as_str()))
     }
 
-    /// Seconds by which samples of encoders are older than they say.
-    pub fn encoder_delay_s(&self, model: &Model) -> f64 {
-        let late = self.terms.iter().filter(|t| t.kind.name == encoder::DELAY);
-        late.map(|t| t.numbers(model)[0]).sum()
-    }
-
     /// Whether motors stand apart from their joints, so that encoders show where motors are.
     pub fn has_transmission(&self) -> bool {
         self.terms.iter().any(|t| t.kind.element == Element::Motor)
@@ -178,6 +172,12 @@ impl Term {
 }
 
 impl Extension for Supplement {
+    fn encoder_delay_s(&self, model: &Model) -> Option<f64> {
+        let mut terms = self.terms.iter();
+        let late = terms.find(|t| t.kind.name == encoder::DELAY)?;
+        Some(late.numbers(model)[0])
+    }
+
     /// Every law acts on one joint, by one actuator, in contacts or on readings.
     fn is_local(&self) -> bool {
         true

@@ -46,6 +46,7 @@ pub mod method;
 mod newton;
 pub mod norm;
 pub mod parameter;
+pub mod path;
 mod point;
 mod pose;
 pub mod predict;

@@ -176,6 +176,7 @@ pub(super) fn trial(
         controls,
         samples: all,
         recording: Arc::new(recording.clone()),
+        path: None,
     })
 }
 

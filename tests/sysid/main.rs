@@ -10,6 +10,7 @@ mod apart;
 mod common;
 mod coverage;
 mod inverse;
+mod late;
 mod mjcf;
 mod push;
 mod rollouts;

@@ -335,6 +335,7 @@ mod tests {
             controls: Vec::new(),
             samples: samples.collect(),
             recording: Arc::new(Recording::default()),
+            path: None,
         };
         Problem {
             parameters: Parameters::new(&model, &rules, &names).expect("parameters"),

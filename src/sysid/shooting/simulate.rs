@@ -6,6 +6,7 @@ use super::window::{Placed, State, Window};
 use crate::mujoco::{self, Contact, Data, Model};
 use crate::supplement::MEMORY_S;
 use crate::sysid::SysidError;
+use crate::sysid::path::Path;
 use crate::sysid::problem::Problem;
 use crate::sysid::reach::Contacts;
 
@@ -133,7 +134,13 @@ impl<'a> Simulator<'a> {
             let first = window.first as isize - past_len(&problem.model) as isize;
             let trial = &problem.trials[window.trial];
             let before = problem.controls_from(trial, x, first, past_len(&problem.model));
-            past(data, state, &before)?;
+            let begin_s = window.first as f64 * problem.model.timestep();
+            past(
+                data,
+                state,
+                &before,
+                trial.path.as_ref().map(|p| (p, begin_s)),
+            )?;
         }
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
             data.ctrl_mut()
@@ -167,11 +174,19 @@ fn past_len(model: &Model) -> usize {
     (MEMORY_S / model.timestep()).ceil() as usize
 }
 
-/// What happened before `state` and is still felt: commands (steps × nu) on their way, readings of hinges and slides
-/// that moved as they move now, loaded transmissions.
-fn past(data: &mut Data, state: &State, commands: &[f64]) -> Result<(), SysidError> {
+/// What happened before `state` and is still felt: commands (steps × nu) on their way, loaded transmissions, readings of hinges
+/// and slides that are late. Those moved as they move now; or as on `path` from its time of the state, if they are late.
+fn past(
+    data: &mut Data,
+    state: &State,
+    commands: &[f64],
+    path: Option<(&Path, f64)>,
+) -> Result<(), SysidError> {
     let model = Arc::clone(data.model_arc());
     let (h, nu, n) = (model.timestep(), model.nu(), past_len(&model));
+    let late_s = (model.extension()).and_then(|e| e.encoder_delay_s(data.model()));
+    let late_s = late_s.unwrap_or(0.0);
+    let path = path.filter(|_| late_s > 0.0);
     let scalar: Vec<(usize, usize)> = (model.scalar_joints())
         .map(|j| {
             (
@@ -185,7 +200,14 @@ fn past(data: &mut Data, state: &State, commands: &[f64]) -> Result<(), SysidErr
             .copy_from_slice(&commands[k * nu..(k + 1) * nu]);
         let ago = (n - k) as f64 * h;
         for (q, v) in &scalar {
-            data.qpos_mut()[*q] = state.qpos[*q] - ago * state.qvel[*v];
+            let moved = match path {
+                Some((path, begin_s)) => {
+                    let now = begin_s + late_s;
+                    path.at(*q, now) - path.at(*q, now - ago)
+                }
+                None => ago * state.qvel[*v],
+            };
+            data.qpos_mut()[*q] = state.qpos[*q] - moved;
         }
         if k + 1 < n {
             data.advance_past()?;
