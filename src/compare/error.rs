@@ -1,7 +1,6 @@
 use crate::mujoco::MujocoError;
 use crate::policy::PolicyError;
 use crate::recording::RecordingError;
-use crate::supplement::SupplementError;
 use crate::task::TaskError;
 
 /// Why a comparison is impossible.
@@ -11,9 +10,6 @@ pub enum CompareError {
     /// The engine refused.
     #[error(transparent)]
     Mujoco(#[from] MujocoError),
-    /// A custom element of the model cannot be used.
-    #[error(transparent)]
-    Supplement(#[from] SupplementError),
     /// The recording does not fit the model.
     #[error(transparent)]
     Recording(#[from] RecordingError),
