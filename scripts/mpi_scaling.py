@@ -12,8 +12,8 @@ on n processes, of which each takes m = N/n,
     T(n) = m r + sigma sqrt(2 m ln n)  +  c + d m  +  s log2 n
 
 where r and sigma are mean and spread of a rollout's time (the second term is the slowest of n processes), c and d the constant
-part and that of a trajectory in the update (a line through measured updates, in `updates`), s the time of one sum of BYTES between two processes of one machine. Between
-machines a sum is taken to last 50 microseconds and 1 ns a byte (10 Gbit Ethernet) longer.
+part and that of a trajectory in the update (a line through the measured `updates`), s the time of one sum of BYTES between two
+processes of one machine. Between machines a sum is taken to last 50 microseconds and 1 ns a byte (10 Gbit Ethernet) longer.
 """
 import argparse
 import json
