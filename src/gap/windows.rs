@@ -124,8 +124,7 @@ impl Windows {
         let mut lying = Lying::new(whole, x)?;
         let mut seen = 0;
         for (i, trial) in whole.trials.iter().enumerate() {
-            let motion = start::trajectory(whole, trial, x)?;
-            let path = Path::new(motion.clone(), nq, h);
+            let path = Path::new(start::trajectory(whole, trial, x)?, nq, h);
             let (n, steps) = (count(trial), trial.n_knots - 1);
             for w in 0..n {
                 let edge = |w: usize| w * steps / n / align * align;
@@ -136,7 +135,7 @@ impl Windows {
                 }
                 let mut part = part(whole, trial, first, last);
                 part.path = Some(path.from(first as f64 * h));
-                let own = &motion[first * nq..(last + 1) * nq];
+                let own = &path.rows()[first * nq..(last + 1) * nq];
                 let lies = lying.of(&part, own)?;
                 part.samples.retain(|s| !lies.channels.contains(&s.channel));
                 if part.samples.is_empty() {

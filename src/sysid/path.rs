@@ -10,7 +10,11 @@
 //! Extrapolated from q₀ and its velocity alone, positions are off by half the acceleration times T², at 13 ms and 100 rad/s² by
 //! 8 mrad: a hundred times the noise of an encoder, and late readings are estimated wrong.
 
+use std::borrow::Cow;
 use std::sync::Arc;
+
+use super::problem::Problem;
+use super::{SysidError, start};
 
 /// Smoothed readings of a recording, as positions.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,6 +47,11 @@ impl Path {
         }
     }
 
+    /// (n × nq)
+    pub(crate) fn rows(&self) -> &[f64] {
+        &self.qpos
+    }
+
     /// The number at address `address` of qpos at `time_s` after the trial's first knot; beyond the ends as there.
     pub(crate) fn at(&self, address: usize, time_s: f64) -> f64 {
         let last = self.qpos.len() / self.nq - 1;
@@ -51,6 +60,26 @@ impl Path {
         let value = |row: usize| self.qpos[row.min(last) * self.nq + address];
         value(whole) + part * (value(whole + 1) - value(whole))
     }
+}
+
+/// The problem with the path of each trial, its sensors as at `x`, if encoders are late; else as it is.
+///
+/// # Errors
+/// The engine refuses a number.
+pub(crate) fn remember<'a>(
+    problem: &'a Problem,
+    x: &[f64],
+) -> Result<Cow<'a, Problem>, SysidError> {
+    let model = &problem.model;
+    if (model.extension()).is_none_or(|e| e.encoder_delay_s(model).is_none()) {
+        return Ok(Cow::Borrowed(problem));
+    }
+    let mut own = problem.clone();
+    for trial in &mut own.trials {
+        let qpos = start::trajectory(problem, trial, x)?;
+        trial.path = Some(Path::new(qpos, model.nq(), model.timestep()));
+    }
+    Ok(Cow::Owned(own))
 }
 
 #[cfg(test)]

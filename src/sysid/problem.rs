@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::norm::Norm;
 use super::parameter::{Instrument, ParameterRule, Parameters, Role};
 use super::path::Path;
-use super::{SysidError, inverse, start, trial};
+use super::{SysidError, inverse, trial};
 use crate::mjcf::glob;
 use crate::mujoco::{Model, ObjectKind};
 use crate::recording::{Bound, Recording};
@@ -261,24 +261,7 @@ impl Problem {
             command: config.command,
         };
         problem.guess_noise();
-        problem.remember_paths()?;
         Ok(problem)
-    }
-
-    /// Where encoders are late, windows have to know what was before them.
-    fn remember_paths(&mut self) -> Result<(), SysidError> {
-        let model = Arc::clone(&self.model);
-        let late = (model.extension()).and_then(|e| e.encoder_delay_s(&model));
-        if late.is_none() {
-            return Ok(());
-        }
-        let x = self.parameters.start();
-        let path = |trial| start::trajectory(self, trial, &x);
-        let paths: Result<Vec<_>, _> = self.trials.iter().map(path).collect();
-        for (trial, qpos) in self.trials.iter_mut().zip(paths?) {
-            trial.path = Some(Path::new(qpos, model.nq(), model.timestep()));
-        }
-        Ok(())
     }
 
     /// (nv) standard deviation of unexplained forces at a level, where forces are as large as `scale`. A given one is

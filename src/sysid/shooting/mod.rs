@@ -40,6 +40,7 @@ pub(crate) mod window;
 
 use super::SysidError;
 pub use super::fit::{Fit, Iteration, Start, Status};
+use super::path;
 use super::problem::Problem;
 use descent::Descent;
 use motion::Motion;
@@ -143,6 +144,8 @@ pub fn solve(
 ) -> Result<Fit, SysidError> {
     settings.check()?;
     settings.fits(problem)?;
+    let problem = path::remember(problem, &start.x)?;
+    let problem = problem.as_ref();
     let windows = window::cut(problem, settings.window_s);
     let (motion, states) = Motion::of(problem, settings, start, &windows)?;
     let mut reach = settings.first_s.map(|s| steps(problem, s));

@@ -39,7 +39,10 @@ impl<'a> Motion<'a> {
         let trajectories = match &start.trajectories {
             Some(given) => given.clone(),
             None => (problem.trials.iter())
-                .map(|trial| start::trajectory(problem, trial, &start.x))
+                .map(|trial| match &trial.path {
+                    Some(path) => Ok(path.rows().to_vec()),
+                    None => start::trajectory(problem, trial, &start.x),
+                })
                 .collect::<Result<_, _>>()?,
         };
         let states = (windows.iter())

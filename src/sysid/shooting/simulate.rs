@@ -185,8 +185,9 @@ fn past(
     let model = Arc::clone(data.model_arc());
     let (h, nu, n) = (model.timestep(), model.nu(), past_len(&model));
     let late_s = (model.extension()).and_then(|e| e.encoder_delay_s(data.model()));
-    let late_s = late_s.unwrap_or(0.0);
-    let path = path.filter(|_| late_s > 0.0);
+    // the path, and when it was where the state is
+    let path = (path.zip(late_s.filter(|s| *s > 0.0)))
+        .map(|((path, begin_s), late_s)| (path, begin_s + late_s));
     let scalar: Vec<(usize, usize)> = (model.scalar_joints())
         .map(|j| {
             (
@@ -201,10 +202,7 @@ fn past(
         let ago = (n - k) as f64 * h;
         for (q, v) in &scalar {
             let moved = match path {
-                Some((path, begin_s)) => {
-                    let now = begin_s + late_s;
-                    path.at(*q, now) - path.at(*q, now - ago)
-                }
+                Some((path, now)) => path.at(*q, now) - path.at(*q, now - ago),
                 None => ago * state.qvel[*v],
             };
             data.qpos_mut()[*q] = state.qpos[*q] - moved;
