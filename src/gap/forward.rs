@@ -6,11 +6,15 @@
 //! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
 //! - significance, from the model with the effect, where what is left is no longer the effect itself; what the model's
 //!   own step makes of its number ([`super::step`]) is taken off first;
-//! - size: its response, as a part of that of the motors.
+//! - size: its response, as a part of that of the motors; a small one is kept where it is most of what is left.
+//!
+//! Rivals that fit as well are alike, whatever their columns say: d² is twice what they cost more.
 
 use nalgebra::DVector;
 
 use super::model::{Built, Chosen};
+use super::name::APART;
+use super::result::Where;
 use super::score::Score;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{self, Evidence, Fitted, ITERATIONS, Search};
@@ -33,6 +37,8 @@ const LEADING: f64 = 0.5;
 const OF_USE: f64 = 0.05;
 /// Fall of the cost that a number more has to bring, to be the better of two.
 const NUMBER: f64 = 2.0;
+/// Part of the cost, and of that of the held-out recordings, that a small effect takes off them at least.
+const MUCH: f64 = 0.2;
 /// Part of the cost that noise is not taken to explain, whatever it is told to be.
 const UNEXPLAINED: f64 = 0.1;
 
@@ -116,21 +122,27 @@ impl Search<'_> {
         let price = |f: &Fitted| f.cost + NUMBER * (f.x.len() as f64);
         fitted.sort_by(|a, b| price(&a.0).total_cmp(&price(&b.0)));
         let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
-        for (own, c) in fitted {
+        let prices: Vec<(Where, f64)> = (fitted.iter())
+            .map(|(own, c)| (Where::of(c.effect, &c.place, 0.0), price(own)))
+            .collect();
+        for (i, (own, c)) in fitted.into_iter().enumerate() {
             let held = self.held_cost(&own.built, &own.windows, &own.x)?;
-            let most = held_before.map(|before| (1.0 - OF_USE) * before);
-            let falls = most.is_none_or(|most| held.is_some_and(|held| held < most));
-            if !falls {
+            let below = |part: f64| {
+                let most = held_before.map(|before| (1.0 - part) * before);
+                most.is_none_or(|most| held.is_some_and(|held| held < most))
+            };
+            if !below(OF_USE) {
                 continue;
             }
             let gain = (self.cost - own.cost) / self.cost;
             let mut then = self.clone();
             then.take(own);
             then.settle(watch)?;
-            let evidence = then.evidence(c, tests(screen), gain)?;
-            let stands = evidence.p_value <= self.limits.family_p
-                && evidence.size.is_none_or(|size| size >= self.limits.size);
-            if stands {
+            let mut evidence = then.evidence(c, tests(screen), gain)?;
+            let large = evidence.size.is_none_or(|size| size >= self.limits.size);
+            let much = gain >= MUCH && below(MUCH);
+            if evidence.p_value <= self.limits.family_p && (large || much) {
+                evidence.alike = alike(&prices, i);
                 then.evidence.push(evidence);
                 *self = then;
                 return Ok(true);
@@ -158,7 +170,8 @@ impl Search<'_> {
         let sizes = self.sureness(&normal, last, step.as_ref());
         let p = match (&sizes[..], &c.score) {
             ([], Some(score)) => score.p_value,
-            _ => search::doubt(&sizes) * sizes.len() as f64,
+            // as many chances as sizes, and shapes tried
+            _ => search::doubt(&sizes) * (sizes.len() * c.effect.about().shapes()) as f64,
         };
         let mut response: Vec<DVector<f64>> = (linear.rows.iter())
             .map(|row| DVector::zeros(row.residual.len()))
@@ -180,6 +193,7 @@ impl Search<'_> {
             p_value: (p * tests as f64).min(1.0),
             gain,
             size,
+            alike: Vec::new(),
         })
     }
 
@@ -214,6 +228,18 @@ impl Search<'_> {
             Err(_) => Ok(None),
         }
     }
+}
+
+/// Which of the others, each with what it costs, fit as well as number `chosen`.
+fn alike(prices: &[(Where, f64)], chosen: usize) -> Vec<Where> {
+    let others = prices.iter().enumerate().filter(|(i, _)| *i != chosen);
+    others
+        .map(|(_, (at, price))| Where {
+            separation: (2.0 * (price - prices[chosen].1)).max(0.0),
+            ..at.clone()
+        })
+        .filter(|w| w.separation < APART)
+        .collect()
 }
 
 /// Candidates that anything can be seen of: so many tests.

@@ -71,18 +71,24 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
                 unit: parameter.unit(&scales).to_owned(),
             });
         }
-        let mut others = Vec::new();
+        // what is in the model itself stands for nothing else
+        let beside = |w: &&Where| {
+            !(search.chosen.iter())
+                .any(|c| c.effect.about().name == w.name && c.place.to_string() == w.at)
+        };
+        let fitted = search.evidence[i].alike.iter().filter(beside);
+        let mut others: Vec<Where> = fitted.cloned().collect();
         if let Some((t, j)) = surest {
             for c in &screen.candidates {
                 let Some(d2) = separation(search, &screen.normal, c, t, j) else {
                     continue;
                 };
-                if d2 < APART {
-                    others.push(Where {
-                        name: c.effect.about().name.to_owned(),
-                        at: c.place.to_string(),
-                        separation: d2,
-                    });
+                let own = Where::of(c.effect, &c.place, d2);
+                let known = others
+                    .iter()
+                    .any(|w| (&w.name, &w.at) == (&own.name, &own.at));
+                if d2 < APART && !known {
+                    others.push(own);
                 }
             }
         }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::effect::{Effect, Place};
+
 /// In one word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -31,7 +33,7 @@ pub struct Value {
 }
 
 /// An effect that would explain nearly as much.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Where {
     /// effect
     pub name: String,
@@ -40,6 +42,17 @@ pub struct Where {
     pub at: String,
     /// squared distance in units of the noise
     pub separation: f64,
+}
+
+impl Where {
+    /// An effect at a place.
+    pub(super) fn of(effect: &dyn Effect, place: &Place, separation: f64) -> Self {
+        Self {
+            name: effect.about().name.to_owned(),
+            at: place.to_string(),
+            separation,
+        }
+    }
 }
 
 /// An effect that was found.

@@ -118,6 +118,13 @@ impl Normal {
             all.set_column(n - 1, &row.residual);
             stretches[stretch_of[w]].gemm_tr(1.0, &all, &all, 1.0);
         }
+        Self::of(stretches, prior.to_vec())
+    }
+
+    /// Of the sums of every stretch.
+    fn of(stretches: Vec<DMatrix<f64>>, prior: Vec<(f64, f64)>) -> Self {
+        let (np, count) = (prior.len(), stretches.len());
+        let n = stretches.first().map_or(np + 1, DMatrix::ncols);
         let mut total = DMatrix::zeros(n, n);
         for s in &stretches {
             total += s;
@@ -128,15 +135,25 @@ impl Normal {
                 Some(b) => &total - &stretches[b],
                 None => total.clone(),
             };
-            solved.push(Solved::new(normal, np, prior));
+            solved.push(Solved::new(normal, np, &prior));
         }
         Self {
             stretches,
             without: solved,
-            prior: prior.to_vec(),
+            prior,
             n_parameters: np,
             n,
         }
+    }
+
+    /// The same with these parameters held where they are, in increasing order: those after them move up.
+    pub(super) fn holding(&self, held: &[usize]) -> Self {
+        let without = |s: &DMatrix<f64>| s.clone().remove_columns_at(held).remove_rows_at(held);
+        let kept = (0..self.prior.len()).filter(|j| !held.contains(j));
+        Self::of(
+            self.stretches.iter().map(without).collect(),
+            kept.map(|j| self.prior[j]).collect(),
+        )
     }
 
     /// Cost of the residual as it is.

@@ -11,9 +11,10 @@
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
-use super::effect::{ModelFile, Place};
+use super::effect::{ModelFile, Place, Role};
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
+use super::result::Where;
 use super::score;
 use super::screen::{Look, Screen};
 use super::windows::Windows;
@@ -87,6 +88,8 @@ pub(super) struct Evidence {
     pub gain: f64,
     /// response, as a part of the motors'
     pub size: Option<f64>,
+    /// others that fitted as well in its place
+    pub alike: Vec<Where>,
 }
 
 impl<'a> Search<'a> {
@@ -225,7 +228,8 @@ impl<'a> Search<'a> {
     }
 
     /// (t, degrees of freedom) of every size of an effect in the model, `step` being what the model's own step makes of
-    /// parameters.
+    /// parameters. Shapes are held: without the effect they mean nothing, and whether it is there is not asked by how well
+    /// its size is known beside them (Davies 1977).
     pub(super) fn sureness(
         &self,
         normal: &score::Normal,
@@ -234,16 +238,20 @@ impl<'a> Search<'a> {
     ) -> Vec<(f64, f64)> {
         let parameters = self.chosen[effect].effect.about().parameters;
         let free = self.built.free(&self.windows.problem);
-        let own = free
-            .iter()
-            .filter(|f| f.1 == effect && parameters[f.2].is_size());
-        own.map(|(j, i, p, slope)| {
-            let (sigma, dof) = normal.fitted(*j);
-            let x = self.chosen[*i].values[*p] / slope;
-            let by_step = step.map_or(0.0, |dx| dx[*j].abs());
-            ((x.abs() - by_step).max(0.0) / sigma, dof)
-        })
-        .collect()
+        let own = || free.iter().filter(|f| f.1 == effect);
+        let shape = |p: usize| matches!(parameters[p].role, Role::Shape(_));
+        let held: Vec<usize> = own().filter(|f| shape(f.2)).map(|f| f.0).collect();
+        let normal = normal.holding(&held);
+        let sizes = own().filter(|f| parameters[f.2].is_size());
+        sizes
+            .map(|(j, i, p, slope)| {
+                let before = held.iter().filter(|h| *h < j).count();
+                let (sigma, dof) = normal.fitted(j - before);
+                let x = self.chosen[*i].values[*p] / slope;
+                let by_step = step.map_or(0.0, |dx| dx[*j].abs());
+                ((x.abs() - by_step).max(0.0) / sigma, dof)
+            })
+            .collect()
     }
 
     /// The model with these effects, fitted; nothing if it cannot be.

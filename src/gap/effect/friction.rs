@@ -158,7 +158,7 @@ impl Effect for Asymmetric {
             parameters: &[
                 Parameter::amplitude("asymmetry", Dimension::Force, [0.01, 0.3]).signed(),
                 LEVEL,
-                Parameter::choice("speed", Dimension::Speed, &[0.02, 0.002], [0.0005, 0.1]),
+                Parameter::choice("speed", Dimension::Speed, &[0.002], [0.0005, 0.1]),
             ],
             neighbours: &[
                 Neighbour {

@@ -72,6 +72,17 @@ pub struct About {
     pub behaviours: &'static [&'static str],
 }
 
+impl About {
+    /// Shapes that are tried before one is fitted.
+    pub fn shapes(&self) -> usize {
+        let each = self.parameters.iter().map(|p| match p.role {
+            Role::Shape(grid) => grid.len(),
+            _ => 1,
+        });
+        each.product()
+    }
+}
+
 /// Physics that a model may lack.
 pub trait Effect: std::fmt::Debug + Sync {
     /// What is known of it without a model.

@@ -224,6 +224,7 @@ pub(super) fn forward(
                 p_value,
                 gain,
                 size: None,
+                alike: Vec::new(),
             };
             return Ok(Some((rival.seen, evidence)));
         }

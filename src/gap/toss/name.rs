@@ -48,6 +48,7 @@ pub(super) fn size(judge: &Judge<'_>, size: &Size) -> Option<Named> {
         p_value: size.p_value,
         gain: 0.0,
         size: None,
+        alike: Vec::new(),
     };
     Some(called(
         (&chosen, Form::Mjcf),
@@ -123,11 +124,8 @@ fn alike(
         let fall = difference(&tried.seen.rollouts, &polished.seen.rollouts);
         let separation = fall.map_or(0.0, |f| f.t.max(0.0).powi(2));
         if separation < APART {
-            out.push(Where {
-                name: tried.candidate.effect.about().name.to_owned(),
-                at: tried.candidate.place.to_string(),
-                separation,
-            });
+            let (effect, place) = (tried.candidate.effect, &tried.candidate.place);
+            out.push(Where::of(effect, place, separation));
         }
     }
     Ok(out)
