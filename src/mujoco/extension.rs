@@ -70,6 +70,24 @@ pub trait Extension: std::fmt::Debug + Send + Sync {
         None
     }
 
+    /// Whether springs or play between motors and joints are loaded by what went before, see [`Extension::load`].
+    fn is_loaded(&self) -> bool {
+        false
+    }
+
+    /// Loads springs and play between motors and joints as they are where motors accelerate by `acceleration` of each
+    /// hinge or slide. A second call, `since_s` after the first, leaves them half way between both, moving from one to
+    /// the other.
+    fn load(
+        &self,
+        _data: &Data,
+        _memory: &[f64],
+        _acceleration: &dyn Fn(usize) -> f64,
+        _since_s: Option<f64>,
+        _next: &mut [f64],
+    ) {
+    }
+
     /// Whether trees that nothing of the engine ties together, contacts included, feel nothing of each other by it either.
     fn is_local(&self) -> bool {
         false
@@ -172,6 +190,24 @@ impl Data {
             x.effective.copy_from_slice(data.ctrl());
             (x.extension).command(data, &x.memory, &mut x.effective, &mut x.next);
             (x.extension).record(data, &x.memory, &mut x.next);
+            x.memory.copy_from_slice(&x.next);
+            Ok(())
+        })
+    }
+
+    /// Loads the extension's springs and play, see [`Extension::load`], under the torques of ctrl.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub fn load_memory(
+        &mut self,
+        acceleration: &dyn Fn(usize) -> f64,
+        since_s: Option<f64>,
+    ) -> Result<()> {
+        self.forward()?;
+        self.with_extension(|data, x| {
+            x.next.copy_from_slice(&x.memory);
+            (x.extension).load(data, &x.memory, acceleration, since_s, &mut x.next);
             x.memory.copy_from_slice(&x.next);
             Ok(())
         })

@@ -32,6 +32,16 @@ pub(super) trait Law: std::fmt::Debug + Send + Sync {
     /// Adds forces.
     fn force(&self, _at: &At<'_>, _forces: &mut Forces, _next: &mut [f64]) {}
 
+    /// What [`crate::mujoco::Extension::load`] does, for its own part.
+    fn load(
+        &self,
+        _at: &At<'_>,
+        _acceleration: &dyn Fn(usize) -> f64,
+        _since_s: Option<f64>,
+        _next: &mut [f64],
+    ) {
+    }
+
     /// Remembers what encoders, up to this law, show at the beginning of the step.
     fn record(&self, _at: &At<'_>, _encoder: &dyn Fn(usize) -> [f64; 2], _next: &mut [f64]) {}
 

@@ -178,6 +178,24 @@ impl Extension for Supplement {
         Some(late.numbers(model)[0])
     }
 
+    fn is_loaded(&self) -> bool {
+        self.has_transmission()
+    }
+
+    fn load(
+        &self,
+        data: &Data,
+        memory: &[f64],
+        acceleration: &dyn Fn(usize) -> f64,
+        since_s: Option<f64>,
+        next: &mut [f64],
+    ) {
+        for (term, at, part) in self.each(data, memory) {
+            let next = &mut next[part];
+            term.law.load(&at, acceleration, since_s, next);
+        }
+    }
+
     /// Every law acts on one joint, by one actuator, in contacts or on readings.
     fn is_local(&self) -> bool {
         true

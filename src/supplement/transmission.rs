@@ -14,13 +14,14 @@
 //! The engine's own way, a second joint for the motor, would change the states of the model, and with them recordings,
 //! policies and keyframes.
 //!
-//! Memory: whether it has begun, s, s', and the joint's velocity one step ago.
+//! Memory: whether it has begun, s, s', and the joint's velocity one step ago. Where the motion of the motor θ = q + s was
+//! measured it says how the transmission was loaded then, t = τ − J θ''.
 
 use super::law::{At, Built, Law};
 use super::parse;
-use crate::mujoco::{Forces, Model};
+use crate::mujoco::{Data, Forces, Model};
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Joining {
     Play,
     Stretch,
@@ -153,11 +154,16 @@ fn first_meeting(s: f64, v: f64, a: f64, half: f64) -> Option<(f64, f64)> {
 }
 
 impl Transmission {
+    /// The motor's.
+    fn torque(&self, data: &Data) -> f64 {
+        let moment = data.actuator_moment()[self.actuator * data.model().nv() + self.dof];
+        data.actuator_force()[self.actuator] * moment
+    }
+
     /// The motor at the beginning and at the end of the step.
     fn step(&self, at: &At<'_>) -> [Motor; 2] {
         let (model, data) = (at.data.model(), at.data);
-        let moment = data.actuator_moment()[self.actuator * model.nv() + self.dof];
-        let torque = data.actuator_force()[self.actuator] * moment;
+        let torque = self.torque(data);
         let inertia = model.dof_armature()[self.dof];
         let begun = at.memory[0] != 0.0;
         let acceleration = if begun {
@@ -222,6 +228,30 @@ impl Law for Transmission {
         let inertia = at.data.model().dof_armature()[self.dof];
         forces.passive[self.dof] -= inertia * (after.speed - before.speed) / at.timestep;
         next.copy_from_slice(&[1.0, after.s, after.speed, at.data.qvel()[self.dof]]);
+    }
+
+    fn load(
+        &self,
+        at: &At<'_>,
+        acceleration: &dyn Fn(usize) -> f64,
+        since_s: Option<f64>,
+        next: &mut [f64],
+    ) {
+        let inertia = at.data.model().dof_armature()[self.dof];
+        let (numbers, before) = (at.numbers, at.memory[1]);
+        let through = self.torque(at.data) - inertia * acceleration(self.joint);
+        let (mut s, mut speed) = match self.joining {
+            Joining::Stretch => (numbers[0] * through, 0.0),
+            Joining::Play => (0.5 * numbers[0] * through.signum(), 0.0),
+        };
+        if let Some(since_s) = since_s {
+            (s, speed) = (0.5 * (s + before), (s - before) / since_s);
+            if self.joining == Joining::Stretch {
+                // what damping has of the torque: 2 d √(J/c) s'
+                s -= 2.0 * numbers[1] * (inertia * numbers[0]).sqrt() * speed;
+            }
+        }
+        next.copy_from_slice(&[1.0, s, speed, at.data.qvel()[self.dof]]);
     }
 
     fn reads(&self, joint: usize) -> bool {

@@ -15,6 +15,7 @@ use std::sync::Arc;
 
 use super::problem::Problem;
 use super::{SysidError, start};
+use crate::mujoco::Extension;
 
 /// Smoothed readings of a recording, as positions.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,6 +53,13 @@ impl Path {
         &self.qpos
     }
 
+    /// Its acceleration there, a mean over ±`half_s` weighed as a triangle.
+    pub(crate) fn acceleration(&self, address: usize, time_s: f64, half_s: f64) -> f64 {
+        let at = |time_s: f64| self.at(address, time_s);
+        let bend = at(time_s + half_s) - 2.0 * at(time_s) + at(time_s - half_s);
+        bend / (half_s * half_s)
+    }
+
     /// The number at address `address` of qpos at `time_s` after the trial's first knot; beyond the ends as there.
     pub(crate) fn at(&self, address: usize, time_s: f64) -> f64 {
         let last = self.qpos.len() / self.nq - 1;
@@ -62,7 +70,8 @@ impl Path {
     }
 }
 
-/// The problem with the path of each trial, its sensors as at `x`, if encoders are late; else as it is.
+/// The problem with the path of each trial, its sensors as at `x`, if encoders are late or transmissions loaded; else as
+/// it is.
 ///
 /// # Errors
 /// The engine refuses a number.
@@ -71,7 +80,8 @@ pub(crate) fn remember<'a>(
     x: &[f64],
 ) -> Result<Cow<'a, Problem>, SysidError> {
     let model = &problem.model;
-    if (model.extension()).is_none_or(|e| e.encoder_delay_s(model).is_none()) {
+    let felt = |e: &Arc<dyn Extension>| e.encoder_delay_s(model).is_some() || e.is_loaded();
+    if !model.extension().is_some_and(felt) {
         return Ok(Cow::Borrowed(problem));
     }
     let mut own = problem.clone();

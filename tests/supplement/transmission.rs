@@ -139,3 +139,48 @@ fn a_motor_without_inertia_only_moves_the_encoder() {
         assert!((stretch - 0.02 * torque(k - 1)).abs() < 1e-12, "step {k}");
     }
 }
+
+/// Readings alone say how a transmission was loaded: t = τ − J θ''.
+#[test]
+fn a_transmission_is_loaded_as_its_motor_moved() {
+    // while play is crossed nothing passes through, and nothing says where the motor is
+    for (kind, data, tolerance, least) in [
+        ("transmission_compliance", "0.02 0.3", 0.05, 0.95),
+        ("backlash", "0.01", 0.25, 0.7),
+    ] {
+        let custom = numeric(kind, "m", data);
+        let simulated = run(&mut rotor(&custom, ""), N);
+        let truth = |k: usize| simulated.reading[k][0] - simulated.q[k];
+        let size = (0..N).map(|k| truth(k).abs()).fold(0.0, f64::max);
+        let apart = 10;
+        let bend = |k: usize| {
+            let at = |k: usize| simulated.reading[k][0];
+            (at(k + 1) - 2.0 * at(k) + at(k - 1)) / (STEP * STEP)
+        };
+        let mut right = 0;
+        let middles: Vec<usize> = (200..N - 20).step_by(10).collect();
+        for &k in &middles {
+            let mut machine = rotor(&custom, "");
+            machine.qpos_mut()[0] = simulated.q[k];
+            machine.qvel_mut()[0] = simulated.v[k];
+            for (at, since_s) in [
+                (k - apart / 2, None),
+                (k + apart / 2, Some(apart as f64 * STEP)),
+            ] {
+                machine.ctrl_mut()[0] = torque(at);
+                (machine.load_memory(&|_| bend(at), since_s)).expect("a load");
+            }
+            let [.., s, _, _] = machine.memory()[..] else {
+                panic!("memory of a transmission");
+            };
+            let seen = machine.encoder(0)[0] - simulated.q[k];
+            assert!((seen - s).abs() < 1e-12, "{kind}: {seen} {s}");
+            right += usize::from((s - truth(k)).abs() < tolerance * size);
+        }
+        assert!(
+            right as f64 >= least * middles.len() as f64,
+            "{kind}: {right} of {}",
+            middles.len()
+        );
+    }
+}

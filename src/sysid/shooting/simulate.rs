@@ -133,14 +133,11 @@ impl<'a> Simulator<'a> {
         if !data.memory().is_empty() {
             let first = window.first as isize - past_len(&problem.model) as isize;
             let trial = &problem.trials[window.trial];
-            let before = problem.controls_from(trial, x, first, past_len(&problem.model));
+            let n = past_len(&problem.model) + beyond(&problem.model);
+            let commands = problem.controls_from(trial, x, first, n);
             let begin_s = window.first as f64 * problem.model.timestep();
-            past(
-                data,
-                state,
-                &before,
-                trial.path.as_ref().map(|p| (p, begin_s)),
-            )?;
+            let path = trial.path.as_ref().map(|p| (p, begin_s));
+            past(data, state, &commands, path)?;
         }
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
             data.ctrl_mut()
@@ -174,8 +171,19 @@ fn past_len(model: &Model) -> usize {
     (MEMORY_S / model.timestep()).ceil() as usize
 }
 
-/// What happened before `state` and is still felt: commands (steps × nu) on their way, loaded transmissions, readings of hinges
-/// and slides that are late. Those moved as they move now; or as on `path` from its time of the state, if they are late.
+/// Half the time that a motor's acceleration is a mean over, s.
+const HALF_S: f64 = 0.03;
+/// Time between the two loads of transmissions that say how they move, s.
+const APART_S: f64 = 0.015;
+
+/// Steps after a state in which its transmissions' loads show.
+fn beyond(model: &Model) -> usize {
+    ((HALF_S + 0.5 * APART_S) / model.timestep()).ceil() as usize
+}
+
+/// What happened before `state` and is still felt: commands (steps × nu, some of them after it) on their way, loaded
+/// transmissions, readings of hinges and slides that are late. Those moved as they move now; or as on `path` from its time of
+/// the state, if they are late.
 fn past(
     data: &mut Data,
     state: &State,
@@ -185,6 +193,7 @@ fn past(
     let model = Arc::clone(data.model_arc());
     let (h, nu, n) = (model.timestep(), model.nu(), past_len(&model));
     let late_s = (model.extension()).and_then(|e| e.encoder_delay_s(data.model()));
+    let recorded = path;
     // the path, and when it was where the state is
     let path = (path.zip(late_s.filter(|s| *s > 0.0)))
         .map(|((path, begin_s), late_s)| (path, begin_s + late_s));
@@ -211,10 +220,49 @@ fn past(
             data.advance_past()?;
         }
     }
-    // springs and play of transmissions are where the last command had them
-    data.forward()?;
-    data.advance_memory();
+    let loaded = model.extension().is_some_and(|e| e.is_loaded());
+    match recorded.filter(|_| loaded) {
+        Some(recorded) => load(data, state, commands, recorded)?,
+        // springs and play of transmissions are where the last command had them
+        None => {
+            data.forward()?;
+            data.advance_memory();
+        }
+    }
     data.qpos_mut().copy_from_slice(&state.qpos);
+    Ok(())
+}
+
+/// Loads transmissions as the recorded motion says: before and after the state, and from both.
+fn load(
+    data: &mut Data,
+    state: &State,
+    commands: &[f64],
+    (path, begin_s): (&Path, f64),
+) -> Result<(), SysidError> {
+    let model = Arc::clone(data.model_arc());
+    let (h, nu) = (model.timestep(), model.nu());
+    let (present, half) = (past_len(&model) as f64, HALF_S / h);
+    data.qpos_mut().copy_from_slice(&state.qpos);
+    for (side, since_s) in [(-0.5, None), (0.5, Some(APART_S))] {
+        let at_s = side * APART_S;
+        let middle = present + at_s / h;
+        let mut mean = vec![0.0; nu];
+        let mut sum = 0.0;
+        for (k, row) in commands.chunks_exact(nu).enumerate() {
+            let weight = (1.0 - (k as f64 + 0.5 - middle).abs() / half).max(0.0);
+            sum += weight;
+            for (m, c) in mean.iter_mut().zip(row) {
+                *m += weight * c;
+            }
+        }
+        for (ctrl, m) in data.ctrl_mut().iter_mut().zip(&mean) {
+            *ctrl = m / sum;
+        }
+        let address = |joint: usize| model.jnt_qposadr()[joint] as usize;
+        let acceleration = |j: usize| path.acceleration(address(j), begin_s + at_s, HALF_S);
+        data.load_memory(&acceleration, since_s)?;
+    }
     Ok(())
 }
 
