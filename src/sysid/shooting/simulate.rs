@@ -221,13 +221,12 @@ fn past(
         }
     }
     let loaded = model.extension().is_some_and(|e| e.is_loaded());
-    match recorded.filter(|_| loaded) {
-        Some(recorded) => load(data, state, commands, recorded)?,
+    if let Some(recorded) = recorded.filter(|_| loaded) {
+        load(data, state, commands, recorded)?;
+    } else {
         // springs and play of transmissions are where the last command had them
-        None => {
-            data.forward()?;
-            data.advance_memory();
-        }
+        data.forward()?;
+        data.advance_memory();
     }
     data.qpos_mut().copy_from_slice(&state.qpos);
     Ok(())
