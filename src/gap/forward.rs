@@ -7,14 +7,11 @@
 //! - significance, from the model with the effect, where what is left is no longer the effect itself; what the model's
 //!   own step makes of its number ([`super::step`]) is taken off first;
 //! - size: its response, as a part of that of the motors; a small one is kept where it is most of what is left.
-//!
-//! Rivals that fit as well are alike, whatever their columns say: d² is twice what they cost more.
 
 use nalgebra::DVector;
 
+use super::alike::{self, Rival};
 use super::model::{Built, Chosen};
-use super::name::APART;
-use super::result::Where;
 use super::score::Score;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{self, Evidence, Fitted, ITERATIONS, Search};
@@ -35,8 +32,6 @@ const FEW_ITERATIONS: usize = 3;
 const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
 const OF_USE: f64 = 0.05;
-/// Fall of the cost that a number more has to bring, to be the better of two.
-const NUMBER: f64 = 2.0;
 /// Part of the cost, and of that of the held-out recordings, that a small effect takes off them at least.
 const MUCH: f64 = 0.2;
 /// Part of the cost that noise is not taken to explain, whatever it is told to be.
@@ -119,11 +114,10 @@ impl Search<'_> {
         if fitted.is_empty() {
             return Ok(false);
         }
-        let price = |f: &Fitted| f.cost + NUMBER * (f.x.len() as f64);
-        fitted.sort_by(|a, b| price(&a.0).total_cmp(&price(&b.0)));
+        fitted.sort_by(|a, b| alike::price(&a.0).total_cmp(&alike::price(&b.0)));
         let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
-        let prices: Vec<(Where, f64)> = (fitted.iter())
-            .map(|(own, c)| (Where::of(c.effect, &c.place, 0.0), price(own)))
+        let rivals: Vec<Vec<Rival>> = (0..fitted.len())
+            .map(|i| alike::rivals(&fitted, i))
             .collect();
         for (i, (own, c)) in fitted.into_iter().enumerate() {
             let held = self.held_cost(&own.built, &own.windows, &own.x)?;
@@ -142,7 +136,7 @@ impl Search<'_> {
             let large = evidence.size.is_none_or(|size| size >= self.limits.size);
             let much = gain >= MUCH && below(MUCH);
             if evidence.p_value <= self.limits.family_p && (large || much) {
-                evidence.alike = alike(&prices, i);
+                evidence.alike.clone_from(&rivals[i]);
                 then.evidence.push(evidence);
                 *self = then;
                 return Ok(true);
@@ -228,18 +222,6 @@ impl Search<'_> {
             Err(_) => Ok(None),
         }
     }
-}
-
-/// Which of the others, each with what it costs, fit as well as number `chosen`.
-fn alike(prices: &[(Where, f64)], chosen: usize) -> Vec<Where> {
-    let others = prices.iter().enumerate().filter(|(i, _)| *i != chosen);
-    others
-        .map(|(_, (at, price))| Where {
-            separation: (2.0 * (price - prices[chosen].1)).max(0.0),
-            ..at.clone()
-        })
-        .filter(|w| w.separation < APART)
-        .collect()
 }
 
 /// Candidates that anything can be seen of: so many tests.

@@ -13,6 +13,7 @@
 //! [`run()`] does all of it in memory; nothing is printed, and nothing read but the model's own assets.
 
 mod absorb;
+mod alike;
 mod coarse;
 pub mod effect;
 pub mod figures;

@@ -9,6 +9,7 @@
 //!
 //! in units of the noise that the recordings show ([`super::score`]).
 
+use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
 use super::model::Chosen;
 use super::result::{Experiment, Named, Untestable, Value, Where};
@@ -71,13 +72,7 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
                 unit: parameter.unit(&scales).to_owned(),
             });
         }
-        // what is in the model itself stands for nothing else
-        let beside = |w: &&Where| {
-            !(search.chosen.iter())
-                .any(|c| c.effect.about().name == w.name && c.place.to_string() == w.at)
-        };
-        let fitted = search.evidence[i].alike.iter().filter(beside);
-        let mut others: Vec<Where> = fitted.cloned().collect();
+        let mut others: Vec<Where> = search.evidence[i].alike.iter().map(Rival::said).collect();
         if let Some((t, j)) = surest {
             for c in &screen.candidates {
                 let Some(d2) = separation(search, &screen.normal, c, t, j) else {

@@ -194,6 +194,8 @@ pub fn resume(
         Some(present) => present,
         None => screened(search.screen(&mut watch)?)?,
     };
+    search.tell_apart(&mut watch)?;
+    watch.go_on()?;
     watch.stage(Stage::Name);
     let effects = name::name(&search, &screen)?;
     let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;

@@ -11,10 +11,10 @@
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
+use super::alike::Rival;
 use super::effect::{ModelFile, Place, Role};
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
-use super::result::Where;
 use super::score;
 use super::screen::{Look, Screen};
 use super::windows::Windows;
@@ -89,7 +89,7 @@ pub(super) struct Evidence {
     /// response, as a part of the motors'
     pub size: Option<f64>,
     /// others that fitted as well in its place
-    pub alike: Vec<Where>,
+    pub alike: Vec<Rival>,
 }
 
 impl<'a> Search<'a> {
