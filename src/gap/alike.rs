@@ -17,7 +17,7 @@ use super::name::APART;
 use super::result::Where;
 use super::screen::Candidate;
 use super::search::{Fitted, ITERATIONS, Search};
-use super::{GapError, Watch};
+use super::{GapError, Stage, Watch};
 
 /// Fall of the cost that a number more has to bring, to be the better of two.
 const NUMBER: f64 = 2.0;
@@ -43,17 +43,13 @@ impl Rival {
     }
 
     /// Whether it is this effect there.
-    pub(super) fn is(&self, chosen: &Chosen) -> bool {
+    fn is(&self, chosen: &Chosen) -> bool {
         self.name == chosen.effect.about().name && self.place == chosen.place
     }
 }
 
-/// What a fit costs, its numbers included.
-pub(super) fn price(fitted: &Fitted) -> f64 {
-    priced(fitted.cost, &fitted.x)
-}
-
-fn priced(cost: f64, x: &[f64]) -> f64 {
+/// What a fit costs, its numbers `x` included.
+pub(super) fn price(cost: f64, x: &[f64]) -> f64 {
     cost + NUMBER * (x.len() as f64)
 }
 
@@ -61,8 +57,9 @@ fn apart(price: f64, chosen: f64) -> f64 {
     (2.0 * (price - chosen)).max(0.0)
 }
 
-/// Rivals of one that costs `chosen`, itself left out, the added effect of each being the last.
+/// Rivals of the fit `chosen` of all, the added effect of each being the last.
 pub(super) fn rivals(fitted: &[(Fitted, &Candidate)], chosen: usize) -> Vec<Rival> {
+    let price = |fit: &Fitted| price(fit.cost, &fit.x);
     let own = price(&fitted[chosen].0);
     let others = fitted.iter().enumerate().filter(|(i, _)| *i != chosen);
     others
@@ -87,7 +84,8 @@ impl Search<'_> {
         if self.chosen.len() < 2 {
             return Ok(());
         }
-        let own = priced(self.cost, &self.x);
+        watch.stage(Stage::Refit);
+        let own = price(self.cost, &self.x);
         for i in 0..self.evidence.len() {
             let mut left = Vec::new();
             for rival in std::mem::take(&mut self.evidence[i].alike) {
@@ -106,7 +104,7 @@ impl Search<'_> {
                 let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
                     continue;
                 };
-                let separation = apart(price(&fitted), own);
+                let separation = apart(price(fitted.cost, &fitted.x), own);
                 if separation < APART {
                     left.push(Rival {
                         separation,

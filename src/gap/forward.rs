@@ -114,7 +114,9 @@ impl Search<'_> {
         if fitted.is_empty() {
             return Ok(false);
         }
-        fitted.sort_by(|a, b| alike::price(&a.0).total_cmp(&alike::price(&b.0)));
+        fitted.sort_by(|a, b| {
+            alike::price(a.0.cost, &a.0.x).total_cmp(&alike::price(b.0.cost, &b.0.x))
+        });
         let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
         let rivals: Vec<Vec<Rival>> = (0..fitted.len())
             .map(|i| alike::rivals(&fitted, i))

@@ -33,7 +33,7 @@ pub struct Value {
 }
 
 /// An effect that would explain nearly as much.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Where {
     /// effect
     pub name: String,

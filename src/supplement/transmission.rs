@@ -240,10 +240,11 @@ impl Law for Transmission {
         let inertia = at.data.model().dof_armature()[self.dof];
         let (numbers, before) = (at.numbers, at.memory[1]);
         let through = self.torque(at.data) - inertia * acceleration(self.joint);
-        let (mut s, mut speed) = match self.joining {
-            Joining::Stretch => (numbers[0] * through, 0.0),
-            Joining::Play => (0.5 * numbers[0] * through.signum(), 0.0),
+        let mut s = match self.joining {
+            Joining::Stretch => numbers[0] * through,
+            Joining::Play => 0.5 * numbers[0] * through.signum(),
         };
+        let mut speed = 0.0;
         if let Some(since_s) = since_s {
             (s, speed) = (0.5 * (s + before), (s - before) / since_s);
             if self.joining == Joining::Stretch {

@@ -176,26 +176,33 @@ const HALF_S: f64 = 0.03;
 /// Time between the two loads of transmissions that say how they move, s.
 const APART_S: f64 = 0.015;
 
+/// Whether transmissions of the model are loaded as a motion says.
+fn is_loaded(model: &Model) -> bool {
+    model.extension().is_some_and(|e| e.is_loaded())
+}
+
 /// Steps after a state in which its transmissions' loads show.
 fn beyond(model: &Model) -> usize {
+    if !is_loaded(model) {
+        return 0;
+    }
     ((HALF_S + 0.5 * APART_S) / model.timestep()).ceil() as usize
 }
 
 /// What happened before `state` and is still felt: commands (steps × nu, some of them after it) on their way, loaded
-/// transmissions, readings of hinges and slides that are late. Those moved as they move now; or as on `path` from its time of
-/// the state, if they are late.
+/// transmissions, readings of hinges and slides that are late. Those moved as they move now; or as on the path `recorded` from
+/// its time of the state, if they are late.
 fn past(
     data: &mut Data,
     state: &State,
     commands: &[f64],
-    path: Option<(&Path, f64)>,
+    recorded: Option<(&Path, f64)>,
 ) -> Result<(), SysidError> {
     let model = Arc::clone(data.model_arc());
     let (h, nu, n) = (model.timestep(), model.nu(), past_len(&model));
     let late_s = (model.extension()).and_then(|e| e.encoder_delay_s(data.model()));
-    let recorded = path;
     // the path, and when it was where the state is
-    let path = (path.zip(late_s.filter(|s| *s > 0.0)))
+    let path = (recorded.zip(late_s.filter(|s| *s > 0.0)))
         .map(|((path, begin_s), late_s)| (path, begin_s + late_s));
     let scalar: Vec<(usize, usize)> = (model.scalar_joints())
         .map(|j| {
@@ -220,8 +227,7 @@ fn past(
             data.advance_past()?;
         }
     }
-    let loaded = model.extension().is_some_and(|e| e.is_loaded());
-    if let Some(recorded) = recorded.filter(|_| loaded) {
+    if let Some(recorded) = recorded.filter(|_| is_loaded(&model)) {
         load(data, state, commands, recorded)?;
     } else {
         // springs and play of transmissions are where the last command had them
@@ -241,7 +247,8 @@ fn load(
 ) -> Result<(), SysidError> {
     let model = Arc::clone(data.model_arc());
     let (h, nu) = (model.timestep(), model.nu());
-    let (present, half) = (past_len(&model) as f64, HALF_S / h);
+    // no shorter than a step, which has a command in any case
+    let (present, half) = (past_len(&model) as f64, (HALF_S / h).max(1.0));
     data.qpos_mut().copy_from_slice(&state.qpos);
     for (side, since_s) in [(-0.5, None), (0.5, Some(APART_S))] {
         let at_s = side * APART_S;
