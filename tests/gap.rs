@@ -157,7 +157,8 @@ fn friction_of_a_machine_with_loops_is_named() {
     let train = [1, 2, 3, 4].map(|seed| record_finger(&truth, seed));
     let holdout = [record_finger(&truth, 9)];
     let config = toml::from_str(
-        "[[parameter]]\nelement = \"body/p0_forearm\"\nattribute = \"mass\"\nprior_sigma = 0.1\n",
+        // the engine's own steps: half a step between command and motion is friction of 0.3 mN m to the turret
+        "command = \"held\"\n[[parameter]]\nelement = \"body/p0_forearm\"\nattribute = \"mass\"\nprior_sigma = 0.1\n",
     )
     .expect("a configuration");
     let input = Input {
@@ -180,7 +181,7 @@ fn friction_of_a_machine_with_loops_is_named() {
         ("coulomb_friction", "p0_upper")
     );
     let level = &found[0].parameters[0];
-    assert!((level.value / 0.02 - 1.0).abs() < 0.03, "{level:?}");
+    assert!((level.value / 0.02 - 1.0).abs() < 0.002, "{level:?}");
 }
 
 /// Stages in memory.

@@ -1,11 +1,14 @@
 //! Effects that fit as well in the place of one that was found.
 //!
 //! When an effect is chosen its rivals were fitted too. A model with rival j instead of effect k costs C(j), 2 more for each
-//! number; on the scale of the noise that the recordings show,
+//! number, with channels weighed by what k leaves of them:
 //!
 //! ```text
 //! d² = 2 (C(j) − C(k))        alike: d² < 9
 //! ```
+//!
+//! While they are fitted channels are weighed by what the model before them leaves, which is more: there costs are less, for
+//! all by the factor by which that of k is.
 //!
 //! Effects found later may tell them apart: what was alike before is fitted once more beside them.
 
@@ -48,7 +51,7 @@ impl Rival {
     }
 }
 
-/// What a fit costs, its numbers `x` included.
+/// What a fit with a cost in units of what it leaves is rated at, its numbers `x` included.
 pub(super) fn price(cost: f64, x: &[f64]) -> f64 {
     cost + NUMBER * (x.len() as f64)
 }
@@ -57,9 +60,9 @@ fn apart(price: f64, chosen: f64) -> f64 {
     (2.0 * (price - chosen)).max(0.0)
 }
 
-/// Rivals of the fit `chosen` of all, the added effect of each being the last.
-pub(super) fn rivals(fitted: &[(Fitted, &Candidate)], chosen: usize) -> Vec<Rival> {
-    let price = |fit: &Fitted| price(fit.cost, &fit.x);
+/// Rivals of the fit `chosen` of all, the added effect of each being the last; costs are to be multiplied by `scale`.
+pub(super) fn rivals(fitted: &[(Fitted, &Candidate)], chosen: usize, scale: f64) -> Vec<Rival> {
+    let price = |fit: &Fitted| price(scale * fit.cost, &fit.x);
     let own = price(&fitted[chosen].0);
     let others = fitted.iter().enumerate().filter(|(i, _)| *i != chosen);
     others

@@ -6,11 +6,13 @@
 //! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
 //! - significance, from the model with the effect, where what is left is no longer the effect itself; what the model's
 //!   own step makes of its number ([`super::step`]) is taken off first;
-//! - size: its response, as a part of that of the motors; a small one is kept where it is most of what is left.
+//! - size: its response, as a part of that of the motors; a small one is kept where it is most of what is left. What no
+//!   fitted parameter could have explained of it is a thousandth of the motors' at least: less is the work of steps, of
+//!   how friction is rounded off and of whatever else no model has exactly.
 
 use nalgebra::DVector;
 
-use super::alike::{self, Rival};
+use super::alike;
 use super::model::{Built, Chosen};
 use super::score::Score;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
@@ -34,6 +36,8 @@ const LEADING: f64 = 0.5;
 const OF_USE: f64 = 0.05;
 /// Part of the cost, and of that of the held-out recordings, that a small effect takes off them at least.
 const MUCH: f64 = 0.2;
+/// Part of the least size that fitted parameters do not explain.
+const OWN: f64 = 0.1;
 /// Part of the cost that noise is not taken to explain, whatever it is told to be.
 const UNEXPLAINED: f64 = 0.1;
 
@@ -114,14 +118,19 @@ impl Search<'_> {
         if fitted.is_empty() {
             return Ok(false);
         }
-        fitted.sort_by(|a, b| {
-            alike::price(a.0.cost, &a.0.x).total_cmp(&alike::price(b.0.cost, &b.0.x))
-        });
+        // in units of what is left now: a number more has to be worth it beside what nothing explains
+        let rated = |f: &Fitted| alike::price(f.cost, &f.x);
+        fitted.sort_by(|a, b| rated(&a.0).total_cmp(&rated(&b.0)));
+        let rows = screen.linear.rows.iter();
+        let left = screen.linear.by_channel(rows.map(|row| &row.residual));
+        let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
         let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
-        let rivals: Vec<Vec<Rival>> = (0..fitted.len())
-            .map(|i| alike::rivals(&fitted, i))
-            .collect();
-        for (i, (own, c)) in fitted.into_iter().enumerate() {
+        for (i, (own, c)) in fitted.iter().enumerate() {
+            let gain = (self.cost - own.cost) / self.cost;
+            let own_size = left.map(|part| part * gain.sqrt());
+            if own_size.is_some_and(|size| size < OWN * self.limits.size) {
+                continue;
+            }
             let held = self.held_cost(&own.built, &own.windows, &own.x)?;
             let below = |part: f64| {
                 let most = held_before.map(|before| (1.0 - part) * before);
@@ -130,15 +139,14 @@ impl Search<'_> {
             if !below(OF_USE) {
                 continue;
             }
-            let gain = (self.cost - own.cost) / self.cost;
             let mut then = self.clone();
-            then.take(own);
+            then.take(own.clone());
             then.settle(watch)?;
             let mut evidence = then.evidence(c, tests(screen), gain)?;
             let large = evidence.size.is_none_or(|size| size >= self.limits.size);
             let much = gain >= MUCH && below(MUCH);
             if evidence.p_value <= self.limits.family_p && (large || much) {
-                evidence.alike.clone_from(&rivals[i]);
+                evidence.alike = alike::rivals(&fitted, i, then.cost / own.cost);
                 then.evidence.push(evidence);
                 *self = then;
                 return Ok(true);

@@ -118,6 +118,9 @@ impl Stage {
 /// What happens: the stage, a note on it, and the part that is done if known. `false` stops the work.
 pub type Report<'a> = &'a mut dyn FnMut(Stage, &str, Option<f64>) -> bool;
 
+/// Fall of the cost in an iteration, as a part of it, that is hardly one.
+const HARDLY: f64 = 1e-3;
+
 /// Tells whoever watches.
 struct Watch<'a> {
     report: Report<'a>,
@@ -147,6 +150,20 @@ impl Watch<'_> {
         let go_on = (self.report)(self.stage, note.trim(), None);
         self.stopped |= !go_on;
         go_on
+    }
+
+    /// The same, to stop where the cost hardly falls any more, twice in a row: no choice hangs on what is left.
+    fn fit_nearly(&mut self) -> impl FnMut(&Iteration) -> bool {
+        let (mut before, mut slow) = (f64::INFINITY, 0);
+        move |i| {
+            slow = if before - i.cost < HARDLY * i.cost {
+                slow + 1
+            } else {
+                0
+            };
+            before = i.cost;
+            self.fit(i) && slow < 2
+        }
     }
 
     fn part(&mut self, done: usize, of: usize) -> bool {

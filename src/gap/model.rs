@@ -202,19 +202,18 @@ pub(super) struct Variant {
     pub parameters: Vec<usize>,
 }
 
-/// All variants of an effect.
+/// All variants of an effect: every shape at its first value, and each at its others with the rest at their first.
 pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant> {
-    let mut sets: Vec<Vec<f64>> = vec![Vec::new()];
-    for p in parameters {
-        let grid = p.grid(scales);
-        let choices = if grid.is_empty() { vec![0.0] } else { grid };
-        sets = (sets.iter())
-            .flat_map(|set| {
-                choices
-                    .iter()
-                    .map(move |c| [set.as_slice(), &[*c]].concat())
-            })
-            .collect();
+    let grids: Vec<Vec<f64>> = parameters.iter().map(|p| p.grid(scales)).collect();
+    let first = |grid: &Vec<f64>| grid.first().copied().unwrap_or(0.0);
+    let first: Vec<f64> = grids.iter().map(first).collect();
+    let mut sets = vec![first.clone()];
+    for (i, grid) in grids.iter().enumerate() {
+        for other in grid.iter().skip(1) {
+            let mut set = first.clone();
+            set[i] = *other;
+            sets.push(set);
+        }
     }
     let sizes: Vec<usize> = (0..parameters.len())
         .filter(|i| parameters[*i].is_size())

@@ -179,7 +179,7 @@ impl<'a> Search<'a> {
         self.windows.weigh(&self.x, &self.noise)?;
         let fit = self
             .windows
-            .fit(&self.x, ITERATIONS, &mut |i| watch.fit(i))?;
+            .fit(&self.x, ITERATIONS, &mut watch.fit_nearly())?;
         self.chosen = self
             .built
             .values(&self.windows.problem, &fit.x, &self.chosen);
@@ -273,7 +273,7 @@ impl<'a> Search<'a> {
         let mut x = problem.parameters.start();
         x[..n_base].copy_from_slice(&self.x[..n_base]);
         windows.problem = problem;
-        let fit = match windows.fit(&x, iterations, &mut |i| watch.fit(i)) {
+        let fit = match windows.fit(&x, iterations, &mut watch.fit_nearly()) {
             Ok(fit) => fit,
             Err(crate::sysid::SysidError::Mujoco(error)) => {
                 return Err(GapError::Sysid(error.into()));
@@ -318,6 +318,7 @@ pub(super) fn doubt(sureness: &[(f64, f64)]) -> f64 {
 }
 
 /// A model with effects, fitted.
+#[derive(Clone)]
 pub(super) struct Fitted {
     pub chosen: Vec<Chosen>,
     /// as it was written
@@ -334,7 +335,7 @@ impl Fitted {
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn improve(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
-        let fit = (self.windows).fit(&self.x, ITERATIONS, &mut |i| watch.fit(i))?;
+        let fit = (self.windows).fit(&self.x, ITERATIONS, &mut watch.fit_nearly())?;
         (self.x, self.cost) = (fit.x, fit.cost);
         self.chosen = (self.built).values(&self.windows.problem, &self.x, &self.written);
         Ok(())

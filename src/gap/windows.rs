@@ -26,7 +26,7 @@ use crate::sysid::shooting::window::{State, Window};
 use crate::sysid::start;
 
 /// Lengths to choose from, s.
-const LENGTHS_S: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
+const LENGTHS_S: [f64; 3] = [0.2, 0.4, 0.8];
 /// Noise of a window's acceleration that is small enough, as a part of what the motion has.
 const FINE: f64 = 0.02;
 /// Samples of a channel in a window that are kept; more say the same again.

@@ -8,6 +8,8 @@ use crate::mujoco::Model;
 
 /// Radius of the ball that a payload is written as, m: nearly a point.
 const PAYLOAD_RADIUS: f64 = 1e-3;
+/// Where a payload is looked for along each axis, in lengths: on a joint's axis it shows nothing.
+const SIDES: &[f64] = &[0.0, 0.5, -0.5];
 
 /// The mass of a body times 1 + value.
 fn mass(site: &Site<'_>) -> Expression {
@@ -99,9 +101,9 @@ impl Effect for Payload {
             signature: "−Jᵀ m (a − g) of the point",
             parameters: &[
                 Parameter::amplitude("mass", Dimension::Mass, [0.01, 0.5]),
-                Parameter::shape("x", Dimension::Length, &[0.0], [-0.5, 0.5]).signed(),
-                Parameter::shape("y", Dimension::Length, &[0.0], [-0.5, 0.5]).signed(),
-                Parameter::shape("z", Dimension::Length, &[0.0], [-0.5, 0.5]).signed(),
+                Parameter::shape("x", Dimension::Length, SIDES, [-0.5, 0.5]).signed(),
+                Parameter::shape("y", Dimension::Length, SIDES, [-0.5, 0.5]).signed(),
+                Parameter::shape("z", Dimension::Length, SIDES, [-0.5, 0.5]).signed(),
             ],
             neighbours: &[
                 Neighbour {

@@ -200,7 +200,7 @@ impl Effect for Stribeck {
             shows: Shows::Force,
             signature: "−(f + e exp(−(v/s)²)) sgn(v): more friction at the slowest speeds",
             parameters: &[
-                Parameter::amplitude("excess", Dimension::Force, [0.02, 0.5]).signed(),
+                Parameter::amplitude("excess", Dimension::Force, [0.02, 0.5]),
                 LEVEL,
                 Parameter::shape("speed", Dimension::Speed, &[0.1, 0.03, 0.3], [0.01, 0.5]),
             ],

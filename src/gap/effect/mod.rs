@@ -73,13 +73,13 @@ pub struct About {
 }
 
 impl About {
-    /// Shapes that are tried before one is fitted.
+    /// Shapes that are tried before one is fitted: all at their first values, and each at its others.
     pub fn shapes(&self) -> usize {
-        let each = self.parameters.iter().map(|p| match p.role {
-            Role::Shape(grid) => grid.len(),
-            _ => 1,
+        let others = self.parameters.iter().map(|p| match p.role {
+            Role::Shape(grid) => grid.len() - 1,
+            _ => 0,
         });
-        each.product()
+        1 + others.sum::<usize>()
     }
 }
 
