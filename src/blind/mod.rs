@@ -143,8 +143,7 @@ impl Suite {
             (false, false) => gap::with_effects(&input, &options, &given, report)?,
             _ => None,
         };
-        let error = oracle.and_then(|gap| gap.holdout).map(|h| h.after);
-        let scored = score::score(&self.config, case, truth, &answer, error);
+        let scored = score::score(&self.config, case, truth, &answer, oracle.as_ref());
         Ok(Scored { seconds, ..scored })
     }
 

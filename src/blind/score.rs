@@ -6,14 +6,13 @@
 //! | class | every hidden effect is in the class of one that was named at its place |
 //! | exact | and is its first name |
 //! | closed | (before − after)/(before − oracle) of the held-out error, where the oracle fits the true structure |
-//! | detectability | t of the true effect in the first screen: 2 is what chance does now and then |
+//! | detectability | how far the recordings are from what a model without the effects can do, see [`Oracle`] |
 
 use serde::{Deserialize, Serialize};
-use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::suite::{Arm, Case, Expect, SuiteConfig};
 use crate::gap::result::{Answer, Named, Verdict};
-use crate::gap::{effect, is_place};
+use crate::gap::{Oracle, effect, is_place};
 use crate::rig::Truth;
 
 /// A number that was hidden, and its interval.
@@ -63,7 +62,7 @@ pub struct Scored {
     pub noise: f64,
     /// hidden
     pub truth: Vec<At>,
-    /// t of the hidden effect in the first screen, of one alone
+    /// see [`Oracle`]; none where the effects cannot be fitted
     pub detectability: Option<f64>,
     /// in one word
     pub verdict: Verdict,
@@ -83,6 +82,8 @@ pub struct Scored {
     pub covered: Vec<Covered>,
     /// see the module
     pub closed: Option<f64>,
+    /// readings that nothing explains, of what motors do to them: before and after
+    pub remaining: [Option<f64>; 2],
     /// seconds of the search
     pub seconds: f64,
 }
@@ -93,7 +94,7 @@ pub(super) fn score(
     case: &Case,
     truth: &Truth,
     answer: &Answer,
-    oracle: Option<f64>,
+    oracle: Option<&Oracle>,
 ) -> Scored {
     let arm: &Arm = &suite.arm[case.arm];
     let hidden = hidden(truth);
@@ -127,16 +128,10 @@ pub(super) fn score(
             class || (answer.verdict == Verdict::None && hidden.iter().all(untestable))
         }
     };
-    let evidence = match &hidden[..] {
-        [h] => (answer.evidence.iter())
-            .filter(|e| e.name == h.name && is_place(&h.place, &e.at))
-            .map(|e| sureness(e.p_value))
-            .next(),
-        _ => None,
-    };
-    let closed = match (&answer.gap.holdout, oracle) {
-        (Some(gap), Some(oracle)) if gap.before > oracle => {
-            Some((gap.before - gap.after) / (gap.before - oracle))
+    let least = oracle.and_then(|o| Some(o.gap.holdout.as_ref()?.after));
+    let closed = match (&answer.gap.holdout, least) {
+        (Some(gap), Some(least)) if gap.before > least => {
+            Some((gap.before - gap.after) / (gap.before - least))
         }
         _ => None,
     };
@@ -145,7 +140,7 @@ pub(super) fn score(
         arm: arm.name.clone(),
         severity: case.severity,
         noise: case.noise,
-        detectability: evidence,
+        detectability: oracle.map(|o| o.detectability),
         verdict: answer.verdict,
         class_sizes: answer.effects.iter().map(|n| n.class.len()).collect(),
         detected,
@@ -158,6 +153,7 @@ pub(super) fn score(
             .filter_map(|n| covered(truth, n))
             .collect(),
         closed,
+        remaining: [answer.remaining.before, answer.remaining.after],
         seconds: 0.0,
         truth: hidden,
         found,
@@ -182,12 +178,6 @@ fn in_class(hidden: &At, named: &Named) -> bool {
     let first = named.class.contains(&hidden.name) && is_place(&hidden.place, &named.at);
     // what looks alike may act elsewhere
     first || (named.alike.iter()).any(|w| w.name == hidden.name && is_place(&hidden.place, &w.at))
-}
-
-/// Standard deviations of a normal number that are as unlikely.
-fn sureness(p_value: f64) -> f64 {
-    let p = p_value.max(1e-300);
-    -Normal::standard().inverse_cdf(0.5 * p)
 }
 
 /// The asymmetry that is left of one larger than the level of friction: friction never drives.

@@ -1,6 +1,6 @@
 //! Scores of a suite as a table: one row an arm, effect, severity and noise.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
@@ -17,6 +17,8 @@ pub struct Row {
     pub severity: Option<f64>,
     /// factor on noise; none: all
     pub noise: Option<f64>,
+    /// least and most detectability (in JSON `null` where there is no most); none: all
+    pub between: Option<[f64; 2]>,
     /// cases
     pub n: usize,
     /// part of them where something was found
@@ -41,8 +43,40 @@ pub struct Row {
     pub seconds: f64,
 }
 
-/// All rows: arms as a whole, then by severity and noise, then by effect.
+/// Bounds of detectability: below the first, chance does as much.
+const LEVELS: [f64; 5] = [2.0, 4.0, 8.0, 16.0, 32.0];
+
+/// All rows: arms as a whole, then by severity and noise, then by effect; last arms by detectability.
 pub fn table(scores: &[Scored]) -> Vec<Row> {
+    let mut rows = by_kind(scores);
+    let arms: BTreeSet<&str> = scores.iter().map(|s| &*s.arm).collect();
+    for arm in arms {
+        rows.extend(by_detectability(arm, scores));
+    }
+    rows
+}
+
+/// Cases of an arm in which something is hidden, by how much there is to see of it.
+fn by_detectability(arm: &str, scores: &[Scored]) -> Vec<Row> {
+    let mut ends = vec![0.0];
+    ends.extend(LEVELS);
+    ends.push(f64::INFINITY);
+    let each = ends.windows(2).filter_map(|end| {
+        let inside = |d: f64| (end[0]..end[1]).contains(&d);
+        let cases: Vec<&Scored> = (scores.iter())
+            .filter(|s| s.arm == arm && s.detectability.is_some_and(inside))
+            .collect();
+        (!cases.is_empty()).then(|| Row {
+            arm: arm.to_owned(),
+            effect: "*".to_owned(),
+            between: Some([end[0], end[1]]),
+            ..row(&cases)
+        })
+    });
+    each.collect()
+}
+
+fn by_kind(scores: &[Scored]) -> Vec<Row> {
     type Key = (String, u8, String, String, String);
     let mut groups: BTreeMap<Key, Vec<&Scored>> = BTreeMap::new();
     for s in scores {
@@ -93,6 +127,7 @@ fn row(s: &[&Scored]) -> Row {
         effect: String::new(),
         severity: None,
         noise: None,
+        between: None,
         n,
         detected: part(&|s| s.detected),
         class: part(&|s| s.class),
@@ -149,6 +184,36 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn every_case_is_of_one_level() {
+        let case = |detectability| Scored {
+            case: String::new(),
+            arm: "one".into(),
+            severity: 1.0,
+            noise: 1.0,
+            truth: Vec::new(),
+            detectability,
+            verdict: crate::gap::result::Verdict::None,
+            found: Vec::new(),
+            class_sizes: Vec::new(),
+            detected: false,
+            class: false,
+            exact: false,
+            right: false,
+            covered: Vec::new(),
+            closed: None,
+            remaining: [None; 2],
+            seconds: 0.0,
+        };
+        let scores = [0.0, 1.9, 2.0, 9.0, 1e3].map(|d| case(Some(d)));
+        let rows = by_detectability("one", &[&scores[..], &[case(None)]].concat());
+        let found: Vec<_> = rows
+            .iter()
+            .map(|r| (r.between.unwrap_or_default()[0], r.n))
+            .collect();
+        assert_eq!(found, [(0.0, 2), (2.0, 1), (8.0, 1), (32.0, 1)]);
     }
 
     #[test]

@@ -5,9 +5,20 @@ use super::result::Gap;
 use super::run::{self, Input, Options};
 use super::search::ITERATIONS;
 use super::verify;
-use super::{GapError, Report, Stage, Watch, repair};
+use super::{GapError, Report, Watch, repair};
 
-/// The gap with `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen.
+/// What a search could reach at best.
+#[derive(Debug, Clone)]
+pub struct Oracle {
+    /// before and after
+    pub gap: Gap,
+    /// How far the training recordings are from what the base model can do, in standard deviations of what the true
+    /// structure leaves of them: `d² = 2 (C − C′)`, C of the base model, C′ of the true structure, both fitted with
+    /// channels weighed by what the latter leaves ([`super::weigh`]).
+    pub detectability: f64,
+}
+
+/// `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen.
 ///
 /// # Errors
 /// As [`run::run`].
@@ -16,13 +27,8 @@ pub fn with_effects(
     options: &Options,
     effects: &[(String, String)],
     report: Report<'_>,
-) -> Result<Option<Gap>, GapError> {
-    let mut watch = Watch {
-        report,
-        stage: Stage::Fit,
-        note: String::new(),
-        stopped: false,
-    };
+) -> Result<Option<Oracle>, GapError> {
+    let mut watch = Watch::new(report);
     let (_, mut search) = run::begin(input, options, &mut super::stages::Nowhere, &mut watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let screen = search.screen(&mut watch)?.ok_or(GapError::Stopped)?;
@@ -43,14 +49,24 @@ pub fn with_effects(
     let Some(fitted) = search.fitted(&chosen, ITERATIONS, &mut watch)? else {
         return Ok(None);
     };
+    let mut without = search.windows.clone();
+    let x = search.x.clone();
     search.take(fitted);
     search.settle(&mut watch)?;
+    let channels = &search.windows.problem.channels;
+    for (channel, own) in without.problem.channels.iter_mut().zip(channels) {
+        channel.sigma = own.sigma;
+    }
+    let cost = without.fit(&x, ITERATIONS, &mut watch.fit_nearly())?.cost;
     let after = repair::machine(&search.windows.problem, &search.x)?;
     let sigma = |_: &str| None;
     let (holdout, seed) = (input.holdout, options.seed);
     let protocol = verify::protocol(input.protocol, search.windows.length_s);
     let gap = verify::verify(&before, &after, holdout, &protocol, &sigma, seed)?;
-    Ok(Some(gap))
+    Ok(Some(Oracle {
+        gap,
+        detectability: (2.0 * (cost - search.cost)).max(0.0).sqrt(),
+    }))
 }
 
 /// Places by name; the two joints of a coupling in either order.

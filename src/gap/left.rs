@@ -20,9 +20,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::GapError;
+use super::linear::Linear;
 use super::locate::Missing;
 use super::result::{Left, Remaining};
-use super::screen::{Screen, largest_part};
+use super::screen::largest_part;
 use super::search::Search;
 
 /// Part of the motors' force below which nothing is reported.
@@ -31,16 +33,17 @@ const SIZE: f64 = 0.02;
 const STRUCTURE: f64 = 0.25;
 /// Part of the motors' response, and of what there was at first, from which what is left is a force that the catalogue
 /// does not have.
-const MUCH: f64 = 0.1;
+const MUCH: f64 = 0.03;
 const MOST: f64 = 1.0 / 3.0;
 /// Parts of the features' variance that ridges are.
 const RIDGES: [f64; 3] = [1e-3, 1e-1, 10.0];
 
 impl Search<'_> {
-    /// Of the module; `screen` is of the present model. None where motors do nothing.
-    pub(super) fn remaining(&self, screen: &Screen) -> Option<f64> {
-        let rows = &screen.linear.rows;
-        let mut left = (screen.linear).by_channel(rows.iter().map(|row| &row.residual));
+    /// Of the module; `linear` is of the present model, `motors` the squared length of what they do to each channel.
+    /// None where they do nothing.
+    pub(super) fn remaining(&self, linear: &Linear, motors: Option<&[f64]>) -> Option<f64> {
+        let rows = &linear.rows;
+        let mut left = linear.by_channel(rows.iter().map(|row| &row.residual));
         for row in rows {
             for (&c, weight) in row.channel.iter().zip(&row.weight) {
                 left[c] -= weight * weight * self.noise_square(c);
@@ -49,7 +52,19 @@ impl Search<'_> {
         for square in &mut left {
             *square = square.max(0.0);
         }
-        largest_part(&left, screen.motors.as_ref()?)
+        largest_part(&left, motors?)
+    }
+
+    /// Whether what remains is at most `part` of what there was `before`.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn takes(&self, part: f64, before: Option<f64>) -> Result<bool, GapError> {
+        let linear = self.windows.linearise(&self.x)?;
+        let motors = linear.motors(&self.windows, &self.x)?;
+        let motors = motors.map(|m| linear.by_channel(&m.parts));
+        let after = self.remaining(&linear, motors.as_deref());
+        Ok((before.zip(after)).is_some_and(|(before, after)| after <= part * before))
     }
 }
 

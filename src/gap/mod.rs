@@ -22,6 +22,7 @@ mod forward;
 mod given;
 mod inputs;
 mod left;
+mod lengths;
 mod linear;
 mod locate;
 mod lying;
@@ -51,7 +52,7 @@ use crate::compare::CompareError;
 use crate::mujoco::MujocoError;
 use crate::sysid::SysidError;
 use crate::sysid::fit::Iteration;
-pub use given::{is_place, with_effects};
+pub use given::{Oracle, is_place, with_effects};
 pub use model::Chosen;
 pub use run::{Input, MissingSeries, Options, Outcome, resume, run};
 pub use search::Limits;
@@ -126,11 +127,23 @@ struct Watch<'a> {
     report: Report<'a>,
     stage: Stage,
     note: String,
+    /// which windows, where they are not the first
+    windows: String,
     /// whether it was asked to stop
     stopped: bool,
 }
 
-impl Watch<'_> {
+impl<'a> Watch<'a> {
+    fn new(report: Report<'a>) -> Self {
+        Self {
+            report,
+            stage: Stage::Fit,
+            note: String::new(),
+            windows: String::new(),
+            stopped: false,
+        }
+    }
+
     /// An error once it was asked to stop: what was cut short must not pass for finished.
     fn go_on(&self) -> Result<(), GapError> {
         if self.stopped {
@@ -142,12 +155,17 @@ impl Watch<'_> {
 
     fn stage(&mut self, stage: Stage) {
         self.stage = stage;
-        self.stopped |= !(self.report)(stage, &self.note, None);
+        self.tell("", None);
     }
 
     fn fit(&mut self, i: &Iteration) -> bool {
-        let note = format!("{} cost {:.6e}", self.note, i.cost);
-        let go_on = (self.report)(self.stage, note.trim(), None);
+        self.tell(&format!("cost {:.6e}", i.cost), None)
+    }
+
+    fn tell(&mut self, more: &str, part: Option<f64>) -> bool {
+        let words = [&*self.windows, &*self.note, more];
+        let said: Vec<&str> = words.into_iter().filter(|w| !w.is_empty()).collect();
+        let go_on = (self.report)(self.stage, &said.join(" "), part);
         self.stopped |= !go_on;
         go_on
     }
@@ -167,8 +185,6 @@ impl Watch<'_> {
     }
 
     fn part(&mut self, done: usize, of: usize) -> bool {
-        let go_on = (self.report)(self.stage, &self.note, Some(done as f64 / of.max(1) as f64));
-        self.stopped |= !go_on;
-        go_on
+        self.tell("", Some(done as f64 / of.max(1) as f64))
     }
 }

@@ -95,6 +95,24 @@ impl Built {
         })
     }
 
+    /// With the shapes of effects `which` (by index) held; none if there is no such.
+    pub(super) fn holding_shapes(
+        &self,
+        chosen: &[Chosen],
+        which: impl Fn(&Chosen) -> bool,
+    ) -> Option<Self> {
+        let mut held = self.clone();
+        let first = held.rules.len() - held.estimated.len();
+        let mut any = false;
+        for (rule, (i, e)) in held.rules[first..].iter_mut().zip(&held.estimated) {
+            let role = &chosen[*i].effect.about().parameters[e.parameter].role;
+            if matches!(role, Role::Shape(_)) && !rule.frozen && which(&chosen[*i]) {
+                (rule.frozen, any) = (true, true);
+            }
+        }
+        any.then_some(held)
+    }
+
     /// Index of each estimated number among all parameters of the problem.
     fn first(&self, problem: &Problem) -> usize {
         problem.parameters.all.len() - self.estimated.len()

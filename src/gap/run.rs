@@ -13,11 +13,17 @@ use super::search::{Limits, Search};
 use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
 use super::verify;
 use super::windows::{self, Windows};
-use super::{GapError, Report, Stage, Watch, left, name, repair, round_trip, toss, untestable};
+use super::{
+    GapError, Report, Stage, Watch, left, lengths, name, repair, round_trip, toss, untestable,
+};
 use crate::compare::Settings;
 use crate::recording::Recording;
 use crate::sysid::parameter::ParameterRule;
 use crate::sysid::problem::{Problem, ProblemConfig};
+
+/// Effects after which a search that explains little is given up, where there is another: the second may show that the
+/// first stood for it.
+const GLANCE: usize = 2;
 
 /// What to look at.
 #[derive(Debug, Clone, Copy)]
@@ -128,16 +134,28 @@ pub fn resume(
     keeper: &mut dyn Keeper,
     report: Report<'_>,
 ) -> Result<Outcome, GapError> {
-    let mut watch = Watch {
-        report,
-        stage: Stage::Fit,
-        note: String::new(),
-        stopped: false,
-    };
+    let mut watch = Watch::new(report);
     if input.protocol.drop.is_some() {
-        return toss::resume(input, options, keeper, &mut watch);
+        toss::resume(input, options, keeper, &mut watch)
+    } else {
+        lengths::search(input, options, keeper, &mut watch)
     }
-    let (whole, mut search) = begin(input, options, keeper, &mut watch)?;
+}
+
+/// The search in windows of one length; nothing if its first effects leave more than the part `enough` of what was
+/// missing.
+///
+/// # Errors
+/// As [`run()`].
+pub(super) fn at_length(
+    input: &Input<'_>,
+    options: &Options,
+    keeper: &mut dyn Keeper,
+    watch: &mut Watch<'_>,
+    enough: Option<f64>,
+) -> Result<Option<Outcome>, GapError> {
+    watch.note.clear();
+    let (whole, mut search) = begin(input, options, keeper, watch)?;
     search.held_out = held_out(input, search.windows.length_s, options.most_windows)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let screened = |screen: Option<Screen>| screen.ok_or(GapError::Stopped);
@@ -146,14 +164,14 @@ pub fn resume(
     let first = if let Some(known) = known {
         known
     } else {
-        let found = screened(search.screen(&mut watch)?)?;
+        let found = screened(search.screen(watch)?)?;
         watch.stage(Stage::Locate);
         let missing = Missing::new(&search.windows, &search.x, &found, &search.stretch_of)?;
         let first = Screened {
             located: missing.located(),
             evidence: tested(&found),
             n_candidates: super::forward::tests(&found),
-            remaining: search.remaining(&found),
+            remaining: search.remaining(&found.linear, found.motors.as_deref()),
             missing: MissingSeries::new(&missing),
         };
         stages::save(keeper, "screen", &first);
@@ -163,28 +181,36 @@ pub fn resume(
     for n in 1..=options.max_effects {
         watch.note = format!("effect {n}");
         let name = format!("effect-{n}");
+        let mut known = None;
         if let Some(step) = stages::load::<Step>(keeper, &name) {
-            let ended = step.ended;
+            let more = !step.ended;
             if step.restore(&mut search)? {
-                screen = None;
-                if ended {
-                    break;
-                }
-                continue;
+                (screen, known) = (None, Some(more));
             }
         }
-        let present = match screen.take() {
-            Some(present) => present,
-            None => screened(search.screen(&mut watch)?)?,
-        };
-        let more = search.forward(&present, &mut watch)?;
-        if more {
-            search.delete(&mut watch)?;
+        let more = if let Some(more) = known {
+            more
         } else {
-            screen = Some(present);
+            let present = match screen.take() {
+                Some(present) => present,
+                None => screened(search.screen(watch)?)?,
+            };
+            let more = search.forward(&present, watch)?;
+            if more {
+                search.delete(watch)?;
+            } else {
+                screen = Some(present);
+            }
+            watch.go_on()?;
+            stages::save(keeper, &name, &Step::of(&search, !more));
+            more
+        };
+        if let Some(part) = enough
+            && (!more || n == GLANCE)
+            && !search.takes(part, first.remaining)?
+        {
+            return Ok(None);
         }
-        watch.go_on()?;
-        stages::save(keeper, &name, &Step::of(&search, !more));
         if !more {
             break;
         }
@@ -192,16 +218,16 @@ pub fn resume(
     watch.note.clear();
     let screen = match screen {
         Some(present) => present,
-        None => screened(search.screen(&mut watch)?)?,
+        None => screened(search.screen(watch)?)?,
     };
-    search.tell_apart(&mut watch)?;
+    search.tell_apart(watch)?;
     watch.go_on()?;
     watch.stage(Stage::Name);
     let effects = name::name(&search, &screen)?;
     let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
     let remaining = Remaining {
         before: first.remaining,
-        after: search.remaining(&screen),
+        after: search.remaining(&screen.linear, screen.motors.as_deref()),
     };
     let untestable = untestable::untestable(&search, &screen);
     let much = left::much(&remaining);
@@ -210,7 +236,7 @@ pub fn resume(
     let round_trip = if effects.is_empty() {
         None
     } else {
-        round_trip::round_trip(&search, options.seed, &mut watch)?
+        round_trip::round_trip(&search, options.seed, watch)?
     };
     watch.stage(Stage::Verify);
     let after = repair::machine(&search.windows.problem, &search.x)?;
@@ -233,7 +259,7 @@ pub fn resume(
     let next_experiment = name::next_experiment(&effects, &untestable);
     let (built, problem) = (&search.built, &search.windows.problem);
     let model = repair::repaired((input.model, built), problem, &search.x, &search.chosen)?;
-    Ok(Outcome {
+    Ok(Some(Outcome {
         rules: repair::rules(built),
         extended: search.built.file.xml.clone(),
         answer: Answer {
@@ -255,7 +281,7 @@ pub fn resume(
         model,
         machines: [before.model, after.model],
         missing: [Some(first.missing), Some(MissingSeries::new(&last))],
-    })
+    }))
 }
 
 /// The recordings as a whole, and the search with the base model fitted to their windows.

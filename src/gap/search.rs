@@ -13,12 +13,14 @@ use serde::{Deserialize, Serialize};
 
 use super::alike::Rival;
 use super::effect::{ModelFile, Place, Role};
+use super::fit;
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
 use super::screen::{Look, Screen};
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
+use crate::sysid::SysidError;
 use crate::sysid::parameter::ParameterRule;
 
 /// What an effect has to reach.
@@ -50,6 +52,8 @@ const WEIGHINGS: usize = 2;
 const ROUGH_ITERATIONS: usize = 5;
 /// Iterations of the first fit.
 const FIRST_ITERATIONS: usize = 40;
+/// Iterations before shapes of a new effect are freed.
+const HELD_ITERATIONS: usize = 3;
 /// Chance that a kept effect is none, above which it goes.
 const LEAVES: f64 = 0.01;
 
@@ -254,7 +258,8 @@ impl<'a> Search<'a> {
             .collect()
     }
 
-    /// The model with these effects, fitted; nothing if it cannot be.
+    /// The model with these effects, fitted; nothing if it cannot be. Shapes of those that are not in the present model
+    /// are held at first: until its size fits, another period or speed than an effect's own may fit better.
     pub(super) fn fitted(
         &self,
         chosen: &[Chosen],
@@ -272,13 +277,27 @@ impl<'a> Search<'a> {
             self.windows.problem.parameters.len() - self.built.free(&self.windows.problem).len();
         let mut x = problem.parameters.start();
         x[..n_base].copy_from_slice(&self.x[..n_base]);
-        windows.problem = problem;
-        let fit = match windows.fit(&x, iterations, &mut watch.fit_nearly()) {
-            Ok(fit) => fit,
-            Err(crate::sysid::SysidError::Mujoco(error)) => {
-                return Err(GapError::Sysid(error.into()));
+        let new = |c: &Chosen| !self.has(c.effect.about().name, &c.place);
+        if let Some(held) = built.holding_shapes(chosen, new) {
+            let Ok(some) = held.problem(&windows.problem) else {
+                return Ok(None);
+            };
+            let free = &problem.parameters.free;
+            let of = |f: &usize| free.iter().position(|own| own == f);
+            let own: Vec<usize> = some.parameters.free.iter().filter_map(of).collect();
+            windows.problem = some;
+            let from: Vec<f64> = own.iter().map(|i| x[*i]).collect();
+            let Some(fit) = sound(windows.fit(&from, HELD_ITERATIONS, &mut watch.fit_nearly()))?
+            else {
+                return Ok(None);
+            };
+            for (i, value) in own.into_iter().zip(fit.x) {
+                x[i] = value;
             }
-            Err(_) => return Ok(None),
+        }
+        windows.problem = problem;
+        let Some(fit) = sound(windows.fit(&x, iterations, &mut watch.fit_nearly()))? else {
+            return Ok(None);
         };
         if windows.len() != self.windows.len() {
             return Ok(None); // it breaks down where the model before did not
@@ -308,6 +327,15 @@ impl<'a> Search<'a> {
         self.chosen
             .iter()
             .any(|c| c.effect.about().name == name && c.place == *place)
+    }
+}
+
+/// What came of a fit; nothing where the model follows no window.
+fn sound(fit: Result<fit::Fitted, SysidError>) -> Result<Option<fit::Fitted>, GapError> {
+    match fit {
+        Ok(fit) => Ok(Some(fit)),
+        Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
+        Err(_) => Ok(None),
     }
 }
 

@@ -5,6 +5,7 @@
 //! | `fit` | the base model's parameters, first states and weights |
 //! | `screen` | what the first screen says |
 //! | `effect-1`, … | the model after each step of the search |
+//! | `0.1s-fit`, … | the same in windows of another length |
 //! | `toss`, `toss-1`, … | the same of tosses: the first look, then each step |
 //!
 //! What is not kept follows from what is: the same report comes out, to the last bit. Whoever keeps them sees to it that
@@ -42,6 +43,22 @@ impl Keeper for Nowhere {
     }
 
     fn save(&mut self, _: &str, _: &[u8]) {}
+}
+
+/// Stages by longer names.
+pub(super) struct Prefixed<'a> {
+    pub keeper: &'a mut dyn Keeper,
+    pub prefix: String,
+}
+
+impl Keeper for Prefixed<'_> {
+    fn load(&mut self, stage: &str) -> Option<Vec<u8>> {
+        self.keeper.load(&format!("{}{stage}", self.prefix))
+    }
+
+    fn save(&mut self, stage: &str, bytes: &[u8]) {
+        self.keeper.save(&format!("{}{stage}", self.prefix), bytes);
+    }
 }
 
 /// What stages depend on, as a hexadecimal number: model, parameters, recordings, options and version.

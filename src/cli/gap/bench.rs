@@ -188,14 +188,14 @@ fn table(rows: &[Row]) -> String {
             "class size",
             "cover",
             "closed",
-            "t",
+            "d",
             "s",
         ],
     );
     for r in rows {
         table.push(vec![
             r.arm.clone(),
-            r.effect.clone(),
+            between(r.between).unwrap_or_else(|| r.effect.clone()),
             optional(r.severity, 2),
             optional(r.noise, 1),
             r.n.to_string(),
@@ -217,6 +217,16 @@ fn table(rows: &[Row]) -> String {
         ]);
     }
     table.text()
+}
+
+/// Levels of detectability, in words.
+fn between(levels: Option<[f64; 2]>) -> Option<String> {
+    let [low, high] = levels?;
+    Some(match (low > 0.0, high.is_finite()) {
+        (false, _) => format!("d below {high}"),
+        (true, true) => format!("d {low} to {high}"),
+        (true, false) => format!("d from {low}"),
+    })
 }
 
 /// What was answered instead, most frequent first.

@@ -60,7 +60,7 @@ impl Effect for Compliance {
             shows: Shows::Reading,
             signature: "c u: the encoder runs ahead of the joint in proportion to the torque",
             parameters: &[
-                Parameter::amplitude("compliance", Dimension::TravelPerForce, [1e-4, 0.01]),
+                Parameter::amplitude("compliance", Dimension::TravelPerForce, [1e-4, 0.05]),
                 Parameter::choice("damping_ratio", Dimension::Share, &[0.3], [0.05, 0.95]),
             ],
             neighbours: &[
