@@ -5,7 +5,8 @@
 //!
 //! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
 //! - significance, from the model with the effect, where what is left is no longer the effect itself; what the model's
-//!   own step makes of its number ([`super::step`]) is taken off first;
+//!   own step makes of its number ([`super::step`]) is taken off first. Held-out recordings have a say in it
+//!   ([`super::held_out`]);
 //! - size: its response, as a part of that of the motors; a small one is kept where it is most of what is left. What no
 //!   fitted parameter could have explained of it is a thousandth of the motors' at least: less is the work of steps, of
 //!   how friction is rounded off and of whatever else no model has exactly.
@@ -13,13 +14,12 @@
 use nalgebra::DVector;
 
 use super::alike;
-use super::model::{Built, Chosen};
+use super::held_out::both;
+use super::model::Chosen;
 use super::score::Score;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
-use super::search::{self, Evidence, Fitted, ITERATIONS, Search};
-use super::windows::Windows;
+use super::search::{self, Evidence, Fitted, Search};
 use super::{GapError, Stage, Watch};
-use crate::sysid::SysidError;
 
 /// Candidates that are fitted in full before one is kept.
 const RIVALS: usize = 6;
@@ -38,6 +38,8 @@ const OF_USE: f64 = 0.05;
 const MUCH: f64 = 0.2;
 /// Part of the least size that fitted parameters do not explain.
 const OWN: f64 = 0.1;
+/// Chance in the recordings that are fitted, times the number of candidates, above which held-out ones do not count.
+const LIKELY_STILL: f64 = 0.05;
 /// Part of the cost that noise is not taken to explain, whatever it is told to be.
 const UNEXPLAINED: f64 = 0.1;
 
@@ -124,17 +126,20 @@ impl Search<'_> {
         let rows = screen.linear.rows.iter();
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
-        let held_before = self.held_cost(&self.built, &self.windows, &self.x)?;
+        let held_before = self.held(&self.built, &self.windows, &self.x)?;
+        let n_fitted = fitted.len() as f64;
         for (i, (own, c)) in fitted.iter().enumerate() {
             let gain = (self.cost - own.cost) / self.cost;
             let own_size = left.map(|part| part * gain.sqrt());
             if own_size.is_some_and(|size| size < OWN * self.limits.size) {
                 continue;
             }
-            let held = self.held_cost(&own.built, &own.windows, &own.x)?;
+            let held = self.held(&own.built, &own.windows, &own.x)?;
             let below = |part: f64| {
-                let most = held_before.map(|before| (1.0 - part) * before);
-                most.is_none_or(|most| held.is_some_and(|held| held < most))
+                let most = held_before
+                    .as_ref()
+                    .map(|before| (1.0 - part) * before.cost);
+                most.is_none_or(|most| held.as_ref().is_some_and(|held| held.cost < most))
             };
             if !below(OF_USE) {
                 continue;
@@ -143,6 +148,12 @@ impl Search<'_> {
             then.take(own.clone());
             then.settle(watch)?;
             let mut evidence = then.evidence(c, tests(screen), gain)?;
+            if let (Some(before), Some(held)) = (&held_before, &held)
+                && evidence.p_value <= LIKELY_STILL
+            {
+                let chance = (n_fitted * held.chance(before)).min(1.0);
+                evidence.p_value = both(evidence.p_value, chance);
+            }
             let large = evidence.size.is_none_or(|size| size >= self.limits.size);
             let much = gain >= MUCH && below(MUCH);
             if evidence.p_value <= self.limits.family_p && (large || much) {
@@ -199,38 +210,6 @@ impl Search<'_> {
             size,
             alike: Vec::new(),
         })
-    }
-
-    /// Cost of the held-out recordings with parameters as fitted to `windows`, weighed like those; none without such
-    /// recordings, or where the model does not follow them.
-    fn held_cost(
-        &self,
-        built: &Built,
-        windows: &Windows,
-        x: &[f64],
-    ) -> Result<Option<f64>, GapError> {
-        let Some(mut held) = self.held_out.clone() else {
-            return Ok(None);
-        };
-        let Ok(problem) = built.problem(&held.problem) else {
-            return Ok(None);
-        };
-        held.problem = windows.held(&problem, x);
-        // as the present model's, whichever is looked at
-        for own in &self.windows.problem.channels {
-            let same = (held.problem.channels.iter_mut()).find(|c| c.name == own.name);
-            if let Some(channel) = same {
-                channel.sigma = own.sigma;
-            }
-        }
-        held.factor = windows.factor;
-        let prior = windows.problem.parameters.prior_cost(x);
-        let whole = held.len();
-        match held.fit(&[], ITERATIONS, &mut |_| true) {
-            Ok(fit) => Ok((held.len() == whole).then_some(fit.cost + prior)),
-            Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
-            Err(_) => Ok(None),
-        }
     }
 }
 

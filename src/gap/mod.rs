@@ -20,6 +20,7 @@ pub mod figures;
 mod fit;
 mod forward;
 mod given;
+mod held_out;
 mod inputs;
 mod left;
 mod lengths;

@@ -31,7 +31,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use super::linear::{Column, Row};
 
 /// Stretches that all windows are gathered in.
-const STRETCHES: usize = 40;
+pub(super) const STRETCHES: usize = 40;
 /// Ridge on every diagonal entry, relative to it: directions without information stay where they are.
 const RIDGE: f64 = 1e-9;
 /// Degrees of freedom that the weights of the residuals stand for.
@@ -75,9 +75,9 @@ pub(super) struct Score {
     pub dof: f64,
 }
 
-/// Which stretch each window belongs to: windows in order of recordings, `recording` of each.
-pub(super) fn stretches(recording: &[usize]) -> Vec<usize> {
-    let size = recording.len().div_ceil(STRETCHES).max(1);
+/// Which stretch, of about `count`, each window belongs to: windows in order of recordings, `recording` of each.
+pub(super) fn stretches(recording: &[usize], count: usize) -> Vec<usize> {
+    let size = recording.len().div_ceil(count).max(1);
     let (mut out, mut stretch, mut filled) = (Vec::with_capacity(recording.len()), 0, 0);
     for (w, r) in recording.iter().enumerate() {
         if w > 0 && (filled == size || recording[w - 1] != *r) {
@@ -89,9 +89,9 @@ pub(super) fn stretches(recording: &[usize]) -> Vec<usize> {
     }
     // recordings of one window each make many stretches
     let most = stretch + 1;
-    if most > 2 * STRETCHES {
+    if most > 2 * count {
         for s in &mut out {
-            *s = *s * STRETCHES / most;
+            *s = *s * count / most;
         }
     }
     out

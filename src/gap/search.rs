@@ -141,7 +141,7 @@ impl<'a> Search<'a> {
             rules,
             limits,
             effects,
-            stretch_of: score::stretches(&recording),
+            stretch_of: score::stretches(&recording, score::STRETCHES),
             noise,
             measured,
             chosen: Vec::new(),

@@ -39,7 +39,7 @@ impl Windows {
             .map(|(sum, n)| if *n > 0.0 { (sum / n).sqrt() } else { 1.0 })
             .collect();
         let recording: Vec<usize> = self.origin.iter().map(|o| o.0).collect();
-        let stretch_of = score::stretches(&recording);
+        let stretch_of = score::stretches(&recording, score::STRETCHES);
         let n_stretches = stretch_of.iter().max().map_or(0, |m| m + 1);
         let np = x.len();
         let mut information = DMatrix::zeros(np, np);

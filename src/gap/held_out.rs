@@ -1,0 +1,143 @@
+//! What held-out recordings say of an effect.
+//!
+//! Parameters, the effect's among them, stay as they were fitted; only first states of windows are estimated. Windows are
+//! gathered in blocks of time, and the falls dᵦ of their costs are tested by ranks, one-sided (Wilcoxon 1945): a few blocks
+//! may hold most of what an effect does.
+//!
+//! ```text
+//! W = Σ rank |dᵦ| over dᵦ > 0        p = q (1 − ln q),  q = p₁ p₂
+//! ```
+//!
+//! with p₁ the chance in the recordings that were fitted, times the number of candidates, and p₂ that of W, times the
+//! number of effects that were fitted: both are independent where nothing is there (Fisher 1932).
+
+use super::GapError;
+use super::model::Built;
+use super::score::stretches;
+use super::search::{ITERATIONS, Search};
+use super::windows::Windows;
+use crate::sysid::SysidError;
+
+/// Blocks, about.
+const BLOCKS: usize = 16;
+
+/// Costs of held-out windows.
+#[derive(Debug)]
+pub(super) struct Held {
+    /// of all, and of priors
+    pub cost: f64,
+    /// of every window
+    each: Vec<f64>,
+    block_of: Vec<usize>,
+}
+
+impl Held {
+    /// Chance of so much less than `before`.
+    pub(super) fn chance(&self, before: &Self) -> f64 {
+        let mut falls = vec![0.0; self.block_of.iter().max().map_or(0, |b| b + 1)];
+        for ((after, before), block) in self.each.iter().zip(&before.each).zip(&self.block_of) {
+            falls[*block] += before - after;
+        }
+        chance(&falls)
+    }
+}
+
+/// Of a sum of the ranks of all that fell like that of `falls`, or more, were either sign of each as likely.
+fn chance(falls: &[f64]) -> f64 {
+    let mut order: Vec<f64> = falls.to_vec();
+    order.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+    let ranked = order.iter().enumerate().map(|(i, d)| (i + 1, *d));
+    let sum: usize = ranked.filter(|(_, d)| *d > 0.0).map(|(rank, _)| rank).sum();
+    // chance of every sum of ranks, one rank after the other
+    let mut chances = vec![0.0; order.len() * (order.len() + 1) / 2 + 1];
+    chances[0] = 1.0;
+    for rank in 1..=order.len() {
+        for s in (0..chances.len()).rev() {
+            let with = if s < rank { 0.0 } else { chances[s - rank] };
+            chances[s] = 0.5 * (chances[s] + with);
+        }
+    }
+    chances[sum..].iter().sum()
+}
+
+/// Of two independent chances together.
+pub(super) fn both(a: f64, b: f64) -> f64 {
+    let q = (a * b).max(f64::MIN_POSITIVE);
+    (q * (1.0 - q.ln())).min(1.0)
+}
+
+impl Search<'_> {
+    /// Held-out recordings with parameters as fitted to `windows`, weighed like those; none without such recordings, or
+    /// where the model does not follow them.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn held(
+        &self,
+        built: &Built,
+        windows: &Windows,
+        x: &[f64],
+    ) -> Result<Option<Held>, GapError> {
+        let Some(mut held) = self.held_out.clone() else {
+            return Ok(None);
+        };
+        let Ok(problem) = built.problem(&held.problem) else {
+            return Ok(None);
+        };
+        held.problem = windows.held(&problem, x);
+        // as the present model's, whichever is looked at
+        for own in &self.windows.problem.channels {
+            let same = (held.problem.channels.iter_mut()).find(|c| c.name == own.name);
+            if let Some(channel) = same {
+                channel.sigma = own.sigma;
+            }
+        }
+        held.factor = windows.factor;
+        let whole = held.len();
+        let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
+        let fitted = held.fit(&[], ITERATIONS, &mut |_| true);
+        let each = fitted.and_then(|_| held.followed(&[]));
+        match each {
+            Ok(each) if each.len() == whole => {
+                let each: Vec<f64> = each.iter().map(|f| f.cost).collect();
+                Ok(Some(Held {
+                    cost: each.iter().sum::<f64>() + windows.problem.parameters.prior_cost(x),
+                    each,
+                    block_of: stretches(&recording, BLOCKS),
+                }))
+            }
+            Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
+            _ => Ok(None),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_that_agree_leave_little_to_chance() {
+        assert!((chance(&[3.0, 40.0, 5.0, 0.1, 7.0]) - 0.5_f64.powi(5)).abs() < 1e-12);
+        // as counted: of 32 choices of signs of the ranks 1 to 5, three have a sum of 13 or more
+        assert!(
+            (chance(&[3.0, -1.0, -0.5, 4.0, 5.0]) - chance(&[3.0, 4.0, 5.0, -0.5, -1.0])).abs()
+                < 1e-12
+        );
+        assert!((chance(&[3.0, -2.0, 1.0, 4.0, 5.0]) - 3.0 / 32.0).abs() < 1e-12);
+        assert!((chance(&[-1.0, -2.0]) - 1.0).abs() < 1e-12);
+        assert!((chance(&[]) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn chances_together_are_a_chance() {
+        // where both are even, so is theirs: a quarter of all pairs on a grid is below 1/4
+        let n = 400;
+        let even = |i: usize| (i as f64 + 0.5) / n as f64;
+        let below = (0..n * n)
+            .filter(|k| both(even(k / n), even(k % n)) < 0.25)
+            .count();
+        let part = below as f64 / (n * n) as f64;
+        assert!((part - 0.25).abs() < 0.005, "{part}");
+    }
+}
