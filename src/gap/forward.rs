@@ -152,7 +152,8 @@ impl Search<'_> {
                 && evidence.p_value <= LIKELY_STILL
             {
                 let chance = (n_fitted * held.chance(before)).min(1.0);
-                evidence.p_value = both(evidence.p_value, chance);
+                // few blocks say little: they take nothing away
+                evidence.p_value = both(evidence.p_value, chance).min(evidence.p_value);
             }
             let large = evidence.size.is_none_or(|size| size >= self.limits.size);
             let much = gain >= MUCH && below(MUCH);

@@ -16,7 +16,8 @@
 //!
 //! with m̃ what the motors do to the readings. Then whatever was found is not what is missing, or not all of it. Small arms
 //! whose one effect was named rightly kept 0.2 to 1.3 % of the motors (11 % of 109 with a delay of 19 ms), a real double
-//! pendulum with two frictions 20 % of 99; arms whose effect is in no catalogue 13 to 98 %, at least 0.6 of what they had.
+//! pendulum with two frictions 20 % of 99; arms whose effect is in no catalogue 13 to 98 %, at least 0.6 of what they had, or,
+//! friction by place, 6 to 9 % of 8 to 21.
 
 use nalgebra::{DMatrix, DVector};
 
