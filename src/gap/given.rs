@@ -14,7 +14,7 @@ pub struct Oracle {
     pub gap: Gap,
     /// How far the training recordings are from what the base model can do, in standard deviations of what the true
     /// structure leaves of them: `d² = 2 (C − C′)`, C of the base model, C′ of the true structure, both fitted with
-    /// channels weighed by what the latter leaves ([`super::weigh`]).
+    /// channels weighed by what the latter leaves.
     pub detectability: f64,
 }
 
