@@ -134,6 +134,10 @@ impl Search<'_> {
             if own_size.is_some_and(|size| size < OWN * self.limits.size) {
                 continue;
             }
+            let scales = |c: &Chosen| self.measured.scales(&own.built.file.model, &c.place);
+            if own.chosen.iter().any(|c| c.absurd(&scales(c))) {
+                continue;
+            }
             let held = self.held(&own.built, &own.windows, &own.x)?;
             let below = |part: f64| {
                 let most = held_before

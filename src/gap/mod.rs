@@ -29,6 +29,7 @@ mod locate;
 mod lying;
 mod model;
 mod name;
+mod predict;
 mod pulse;
 mod repair;
 pub mod result;

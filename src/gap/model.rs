@@ -5,7 +5,9 @@ use crate::sysid::parameter::{ParameterRule, Parameters};
 use crate::sysid::problem::Problem;
 
 use super::GapError;
-use super::effect::{self, Effect, Estimated, Form, ModelFile, Parameter, Place, Role, Scales};
+use super::effect::{
+    self, Effect, Estimated, Form, ModelFile, Parameter, Place, Role, Scales, Sign,
+};
 use super::screen::BEYOND;
 
 /// An effect that was put into the model.
@@ -56,19 +58,12 @@ impl Built {
             let scales = measured.scales(&built.file.model, &c.place);
             for mut e in written.estimated {
                 let parameter = &c.effect.about().parameters[e.parameter];
-                let beyond = match parameter.role {
-                    Role::Threshold(_) => 1.0, // a share of what there is
-                    _ => BEYOND,
-                };
-                let most = beyond * parameter.high * parameter.scale(&scales);
-                let ends = [e.number_of(-most), e.number_of(most)];
+                let ends = sensible(parameter, &scales).map(|value| e.number_of(value));
+                let (lower, upper) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
                 let start = e.rule.start.unwrap_or(0.0);
-                if parameter.is_size()
-                    && ends[0].min(ends[1]) < start
-                    && start < ends[0].max(ends[1])
-                {
-                    e.rule.lower = e.rule.lower.or(Some(ends[0].min(ends[1])));
-                    e.rule.upper = e.rule.upper.or(Some(ends[0].max(ends[1])));
+                if lower < start && start < upper {
+                    e.rule.lower = Some(e.rule.lower.map_or(lower, |own| own.max(lower)));
+                    e.rule.upper = Some(e.rule.upper.map_or(upper, |own| own.min(upper)));
                 }
                 // what is left without the effect is another effect's number, or none
                 if parameter.role == Role::Companion {
@@ -141,6 +136,23 @@ impl Built {
     }
 }
 
+/// Part of the way to where an effect is absurd at which it is there: a fit stops short of its bounds.
+const AT_BOUND: f64 = 0.01;
+
+/// Values beyond which an effect is absurd: of a shape that is positive, from its range's low end.
+fn sensible(parameter: &Parameter, scales: &Scales) -> [f64; 2] {
+    let beyond = match parameter.role {
+        Role::Threshold(_) => 1.0, // a share of what there is
+        _ => BEYOND,
+    };
+    let most = beyond * parameter.high;
+    let least = match (parameter.role, parameter.sign) {
+        (Role::Shape(_), Sign::Positive) => parameter.low,
+        _ => -most,
+    };
+    [least, most].map(|multiple| multiple * parameter.scale(scales))
+}
+
 /// Sizes that the recordings show at every hinge and slide.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Measured {
@@ -207,6 +219,22 @@ impl Measured {
             take(&mut scales.acceleration, *acceleration);
         }
         scales
+    }
+}
+
+impl Chosen {
+    /// Whether a size or a positive shape of it went as far as it could: then it stands for something else.
+    pub(super) fn absurd(&self, scales: &Scales) -> bool {
+        let parameters = self.effect.about().parameters.iter();
+        let mut each = parameters.zip(&self.values);
+        each.any(|(p, value)| {
+            let [least, most] = sensible(p, scales);
+            match p.role {
+                Role::Amplitude => value.abs() >= (1.0 - AT_BOUND) * most,
+                Role::Shape(_) => least > 0.0 && *value <= (1.0 + AT_BOUND) * least,
+                _ => false,
+            }
+        })
     }
 }
 

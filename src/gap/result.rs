@@ -217,7 +217,9 @@ pub struct Left {
     pub channel: String,
     /// root mean square of the missing force
     pub size: f64,
-    /// of that
+    /// the same as a part of the motors' there
+    pub of_motor: f64,
+    /// of the size
     pub unit: String,
     /// part of its variance that a flexible function of these inputs predicts, held out
     pub explainable: f64,

@@ -255,7 +255,7 @@ pub(super) fn at_length(
         &sigma,
         options.seed,
     )?;
-    let verdict = verdict(&effects, !rest.is_empty(), much);
+    let verdict = verdict(&effects, !rest.is_empty(), much || left::law(&rest));
     let next_experiment = name::next_experiment(&effects, &untestable);
     let (built, problem) = (&search.built, &search.windows.problem);
     let model = repair::repaired((input.model, built), problem, &search.x, &search.chosen)?;
@@ -337,10 +337,10 @@ fn held_out(input: &Input<'_>, length_s: f64, most: usize) -> Result<Option<Wind
     Ok(Some(Windows::cut(&problem, &start, length_s, most)?))
 }
 
-/// `structure` is left, or `much` of anything.
-fn verdict(effects: &[super::result::Named], structure: bool, much: bool) -> Verdict {
+/// `structure` is left, or `more` than was found is missing.
+fn verdict(effects: &[super::result::Named], structure: bool, more: bool) -> Verdict {
     match effects {
-        _ if much => Verdict::Unknown,
+        _ if more => Verdict::Unknown,
         [] if structure => Verdict::Unknown,
         [] => Verdict::None,
         _ if effects.iter().any(|e| e.class.len() > 1) => Verdict::Ambiguous,

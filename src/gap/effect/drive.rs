@@ -1,6 +1,6 @@
 //! What motors make of their commands.
 
-use super::joint::{PERIODS, gear};
+use super::joint::{PERIODS, TWO_PERIODS, gear};
 use super::place::{N_PRM, Site, joint_motors, motors};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Role,
@@ -243,7 +243,12 @@ impl Effect for TorqueRipple {
             parameters: &[
                 Parameter::amplitude("sine", Dimension::Share, [0.01, 0.2]).signed(),
                 Parameter::amplitude("cosine", Dimension::Share, [0.01, 0.2]).signed(),
-                Parameter::shape("per_turn", Dimension::PerTravel, PERIODS, [3.0, 200.0]),
+                Parameter::shape(
+                    "per_turn",
+                    Dimension::PerTravel,
+                    PERIODS,
+                    [TWO_PERIODS, 200.0],
+                ),
             ],
             neighbours: &[
                 Neighbour {

@@ -202,7 +202,7 @@ impl Effect for Stribeck {
             parameters: &[
                 Parameter::amplitude("excess", Dimension::Force, [0.02, 0.5]),
                 LEVEL,
-                Parameter::shape("speed", Dimension::Speed, &[0.1, 0.03, 0.3], [0.01, 0.5]),
+                Parameter::shape("speed", Dimension::Speed, &[0.1, 0.03, 0.3], [0.0, 0.5]),
             ],
             neighbours: &[
                 Neighbour {
