@@ -26,7 +26,7 @@ const RIVALS: usize = 6;
 /// So many candidates would look as good by chance, of one that is worth a fit.
 const LIKELY: f64 = 1.0;
 /// Part of the least size that such a one promises.
-const LARGE: f64 = 0.3;
+const LARGE: f64 = 0.1;
 /// Part of the best one's gain that a rival has.
 const NEAR: f64 = 0.2;
 /// Iterations after which rivals far behind are given up, and the part of the best one's fall that is not far.

@@ -140,7 +140,7 @@ impl Built {
 const AT_BOUND: f64 = 0.01;
 
 /// Values beyond which an effect is absurd: of a shape that is positive, from its range's low end.
-fn sensible(parameter: &Parameter, scales: &Scales) -> [f64; 2] {
+pub(super) fn sensible(parameter: &Parameter, scales: &Scales) -> [f64; 2] {
     let beyond = match parameter.role {
         Role::Threshold(_) => 1.0, // a share of what there is
         _ => BEYOND,

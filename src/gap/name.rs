@@ -11,7 +11,7 @@
 
 use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
-use super::model::Chosen;
+use super::model::{Chosen, sensible};
 use super::result::{Experiment, Named, Untestable, Value, Where};
 use super::score::Normal;
 use super::screen::{Candidate, Screen};
@@ -55,12 +55,13 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
                 }
                 let by_step = step.as_ref().map_or(0.0, |dx| (dx[*j] * slope).abs());
                 let half = two_sided_t(0.95, dof.max(1.0)) * sigma + by_step;
-                let least = if parameter.sign == Sign::Positive {
-                    0.0
-                } else {
-                    f64::NEG_INFINITY
+                let [least, most] = match (parameter.role, parameter.sign) {
+                    // nothing beyond was looked at: wider, it is not determined
+                    (Role::Shape(_), _) => sensible(parameter, &scales),
+                    (_, Sign::Positive) => [0.0, f64::INFINITY],
+                    _ => [f64::NEG_INFINITY, f64::INFINITY],
                 };
-                [(value - half).max(least), value + half]
+                [(value - half).max(least), (value + half).min(most)]
             });
             if parameter.role == Role::Companion {
                 continue;
