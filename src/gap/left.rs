@@ -5,8 +5,8 @@
 //! the readings. Whatever was found is not what is missing, or not all of it, where
 //!
 //! ```text
-//! law:  √explainable · rms f ≥ rms u / 20        at any joint
-//! much: remaining² = (|r̃|² − noise²)/|m̃|²        of the channel where it is largest, ≥ 3 % and a third of that before
+//! law:  √explainable · rms f ≥ rms u / 20        at any joint, explainable ≥ 0.6
+//! much: remaining² = (|r̃|² − noise²)/|m̃|²        of the channel where it is largest, ≥ 3 % and a fifth of that before
 //! ```
 //!
 //! with m̃ what the motors do to the readings. Small arms whose one effect was named rightly kept 0.2 to 1.3 % of the motors
