@@ -14,11 +14,14 @@
 //! catalogue 13 to 98 %, at least 0.6 of what they had, or, friction by place, 6 to 9 % of 8 to 21; stiffening springs 18 to
 //! 22 % of 78 to 103, with a law of 8.5 to 140 %.
 
+use nalgebra::DMatrix;
+
 use super::GapError;
 use super::linear::Linear;
 use super::locate::Missing;
 use super::predict::{Inputs, predicted};
 use super::result::{Left, Remaining};
+use super::score::rms;
 use super::screen::largest_part;
 use super::search::Search;
 
@@ -81,60 +84,56 @@ pub(super) fn law(left: &[Left]) -> bool {
 
 /// Joints at which structure is left, or all with a force of practical size if `much` is left of the readings.
 pub(super) fn left(missing: &Missing, much: bool) -> Vec<Left> {
-    let n = missing.joints.len();
-    let mut out = Vec::new();
-    for joint in 0..n {
-        let f: Vec<f64> = missing.force.column(joint).iter().copied().collect();
-        let rms = |v: &mut dyn Iterator<Item = f64>| {
-            let (sum, n) = v.fold((0.0, 0.0), |(s, n), x| (s + x * x, n + 1.0));
-            f64::sqrt(sum / f64::max(n, 1.0))
+    let column = |m: &DMatrix<f64>, joint: usize| rms(m.column(joint).as_slice());
+    let mut kept: Vec<(usize, f64, f64)> = (0..missing.joints.len())
+        .map(|j| (j, column(&missing.force, j), column(&missing.motor, j)))
+        .filter(|(_, size, motor)| *size >= SIZE * motor && *motor != 0.0)
+        .collect();
+    if kept.is_empty() {
+        return Vec::new();
+    }
+    let explainable = predicted(missing, Inputs::ALL);
+    kept.retain(|(joint, ..)| much || explainable[*joint] >= STRUCTURE);
+    if kept.is_empty() {
+        return Vec::new();
+    }
+    let all = Inputs::ALL;
+    let without = [
+        (
+            "position",
+            Inputs {
+                position: false,
+                ..all
+            },
+        ),
+        (
+            "velocity",
+            Inputs {
+                velocity: false,
+                ..all
+            },
+        ),
+        (
+            "motor force",
+            Inputs {
+                motor: false,
+                ..all
+            },
+        ),
+    ]
+    .map(|(name, inputs)| (name, predicted(missing, inputs)));
+    let each = kept.into_iter().map(|(joint, size, motor)| {
+        let lost = |(name, told): &(&str, Vec<f64>)| {
+            ((*name).to_owned(), explainable[joint] - told[joint])
         };
-        let size = rms(&mut f.iter().copied());
-        let motor = rms(&mut missing.motor.column(joint).iter().copied());
-        if size < SIZE * motor || motor == 0.0 {
-            continue;
-        }
-        let explainable = predicted(missing, &f, Inputs::ALL);
-        if explainable < STRUCTURE && !much {
-            continue;
-        }
-        let without = [
-            (
-                "position",
-                Inputs {
-                    position: false,
-                    ..Inputs::ALL
-                },
-            ),
-            (
-                "velocity",
-                Inputs {
-                    velocity: false,
-                    ..Inputs::ALL
-                },
-            ),
-            (
-                "motor force",
-                Inputs {
-                    motor: false,
-                    ..Inputs::ALL
-                },
-            ),
-        ];
-        let inputs = without.into_iter().map(|(name, inputs)| {
-            (
-                name.to_owned(),
-                explainable - predicted(missing, &f, inputs),
-            )
-        });
-        out.push(Left {
+        Left {
             channel: missing.joints[joint].clone(),
             size,
             of_motor: size / motor,
             unit: missing.units[joint].to_owned(),
-            explainable: explainable.max(0.0),
-            inputs: inputs.collect(),
-        });
-    }
-    out
+            explainable: explainable[joint].max(0.0),
+            inputs: without.iter().map(lost).collect(),
+        }
+    });
+    each.collect()
 }

@@ -1,4 +1,4 @@
-//! How much of a force follows from position, velocity and motor force, whatever the law.
+//! How much of the missing forces follows from position, velocity and motor force, whatever the law.
 //!
 //! Kernel ridge regression on a sum of kernels, of any quadratic function of all joints' inputs, and for each joint any
 //! function of its position times 1, its direction, velocity and motor force, and any of its velocity times 1 and motor
@@ -12,9 +12,10 @@
 //! the best of a few λ and lengths. References: Rasmussen and Williams 2006, 2.2 and 5.4.2 (leave-one-out, here by blocks);
 //! Duvenaud, Nickisch and Rasmussen 2011 (additive kernels).
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use super::locate::Missing;
+use super::score::rms;
 
 /// λ, as parts of the kernel's mean diagonal.
 const RIDGES: [f64; 4] = [1e-3, 1e-2, 1e-1, 1.0];
@@ -50,41 +51,45 @@ struct Joint {
     motor: Vec<f64>,
 }
 
-/// Part of Σ f² that is predicted from other stretches.
-pub(super) fn predicted(missing: &Missing, f: &[f64], inputs: Inputs) -> f64 {
-    let joints: Vec<Joint> = (0..missing.joints.len())
-        .map(|j| Joint::new(missing, j, inputs))
-        .collect();
-    let total: f64 = f.iter().map(|v| v * v).sum();
-    let mut best = f64::NEG_INFINITY;
+/// Part of Σ f² that is predicted from other stretches, of every joint's missing force.
+pub(super) fn predicted(missing: &Missing, inputs: Inputs) -> Vec<f64> {
+    let (rows, n) = missing.force.shape();
+    let joints: Vec<Joint> = (0..n).map(|j| Joint::new(missing, j, inputs)).collect();
+    let square = |f: &DMatrix<f64>, j: usize| f.column(j).norm_squared();
+    let mut best = vec![f64::NEG_INFINITY; n];
     for length in LENGTHS {
-        let kernel = kernel(&joints, f.len(), length);
+        let kernel = kernel(&joints, rows, length);
         let diagonal = kernel.diagonal().mean();
         for ridge in RIDGES {
             let mut a = kernel.clone();
-            for i in 0..f.len() {
+            for i in 0..rows {
                 a[(i, i)] += ridge * diagonal;
             }
-            let Some(wrong) = held_out(a, f, &missing.stretch_of) else {
+            let Some(wrong) = wrong(a, &missing.force, &missing.stretch_of) else {
                 continue;
             };
-            best = best.max(1.0 - wrong / total.max(f64::MIN_POSITIVE));
+            for (j, best) in best.iter_mut().enumerate() {
+                let total = square(&missing.force, j).max(f64::MIN_POSITIVE);
+                *best = best.max(1.0 - square(&wrong, j) / total);
+            }
         }
     }
     best
 }
 
-/// Σ (f − f̂)², each stretch predicted from the others, with A of the module.
-fn held_out(a: DMatrix<f64>, f: &[f64], stretch_of: &[usize]) -> Option<f64> {
+/// f − f̂ of every column, each stretch predicted from the others, with A of the module.
+fn wrong(a: DMatrix<f64>, f: &DMatrix<f64>, stretch_of: &[usize]) -> Option<DMatrix<f64>> {
     let inverse = a.cholesky()?.inverse();
-    let weight = &inverse * DVector::from_column_slice(f);
+    let mut wrong = &inverse * f;
     let count = stretch_of.iter().max().map_or(0, |m| m + 1);
-    let mut wrong = 0.0;
     for stretch in 0..count {
-        let own: Vec<usize> = (0..f.len()).filter(|w| stretch_of[*w] == stretch).collect();
-        let block = DMatrix::from_fn(own.len(), own.len(), |i, j| inverse[(own[i], own[j])]);
-        let right = DVector::from_fn(own.len(), |i, _| weight[own[i]]);
-        wrong += block.cholesky()?.solve(&right).norm_squared();
+        let of = stretch_of.iter().enumerate();
+        let own: Vec<usize> = of.filter(|(_, s)| **s == stretch).map(|(w, _)| w).collect();
+        let block = inverse.select_rows(&own).select_columns(&own);
+        let solved = block.cholesky()?.solve(&wrong.select_rows(&own));
+        for (row, &w) in solved.row_iter().zip(&own) {
+            wrong.set_row(w, &row);
+        }
     }
     Some(wrong)
 }
@@ -122,7 +127,7 @@ impl Joint {
             (0..rows).map(|w| m[(w, joint)]).collect()
         };
         let velocity = column(&missing.velocity, inputs.velocity);
-        let size = (velocity.iter().map(|v| v * v).sum::<f64>() / velocity.len() as f64).sqrt();
+        let size = rms(&velocity);
         let way = |v: &f64| (FULL * v / size.max(f64::MIN_POSITIVE)).tanh();
         Self {
             position: standard(column(&missing.position, inputs.position)),
@@ -140,18 +145,23 @@ impl Joint {
 }
 
 fn standard(mut x: Vec<f64>) -> Vec<f64> {
-    let n = x.len() as f64;
-    let mean = x.iter().sum::<f64>() / n;
-    let sigma = (x.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
+    let mean = x.iter().sum::<f64>() / x.len() as f64;
     for v in &mut x {
-        *v = (*v - mean) / sigma.max(f64::MIN_POSITIVE);
+        *v -= mean;
+    }
+    let sigma = rms(&x).max(f64::MIN_POSITIVE);
+    for v in &mut x {
+        *v /= sigma;
     }
     x
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::DVector;
+
     use super::*;
+    use crate::rng::{self, Purpose};
 
     /// One joint in 200 windows of 20 stretches, with a force by position, direction and motor.
     fn missing() -> Missing {
@@ -170,6 +180,12 @@ mod tests {
         }
     }
 
+    /// Of one joint's force.
+    fn part(f: Vec<f64>, inputs: Inputs) -> f64 {
+        let force = DMatrix::from_vec(f.len(), 1, f);
+        predicted(&Missing { force, ..missing() }, inputs)[0]
+    }
+
     #[test]
     fn any_law_of_one_joint_is_predicted_from_what_it_depends_on() {
         let m = missing();
@@ -179,31 +195,24 @@ mod tests {
                 .collect()
         };
         let stiffening = of(&|q, _, _| -q * q * q);
-        assert!(predicted(&m, &stiffening, Inputs::ALL) > 0.99);
+        assert!(part(stiffening, Inputs::ALL) > 0.99);
         let by_place = of(&|q, v, _| -(1.0 + (4.0 * q).sin()) * v.signum());
-        assert!(predicted(&m, &by_place, Inputs::ALL) > 0.9);
+        let all = part(by_place.clone(), Inputs::ALL);
+        assert!(all > 0.9);
         let blind = Inputs {
             position: false,
             ..Inputs::ALL
         };
-        assert!(
-            predicted(&m, &by_place, Inputs::ALL) - predicted(&m, &by_place, blind) > 0.2,
-            "position"
-        );
+        assert!(all - part(by_place, blind) > 0.2, "position");
     }
 
     #[test]
     fn chance_is_not_predicted() {
-        let m = missing();
-        let mut state = 1_u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            (state >> 33) as f64 / f64::from(1_u32 << 31) - 0.5
-        };
-        let noise: Vec<f64> = (0..200).map(|_| next()).collect();
-        assert!(predicted(&m, &noise, Inputs::ALL) < 0.1);
+        let mut rng = rng::stream(1, Purpose::SensorNoise, 0, 0);
+        let noise = (0..200)
+            .map(|_| rng::uniform(&mut rng, -0.5, 0.5))
+            .collect();
+        assert!(part(noise, Inputs::ALL) < 0.1);
     }
 
     /// The blocks' formula against a fit without each stretch.
@@ -215,7 +224,7 @@ mod tests {
         for i in 0..200 {
             a[(i, i)] += 0.5;
         }
-        let mut wrong = 0.0;
+        let mut expected = 0.0;
         for stretch in 0..20 {
             let (own, rest): (Vec<usize>, Vec<usize>) =
                 (0..200).partition(|w| m.stretch_of[*w] == stretch);
@@ -225,13 +234,16 @@ mod tests {
             let y = DVector::from_fn(rest.len(), |i, _| f[rest[i]]);
             let factor = of(&rest, &rest).cholesky().expect("positive");
             let told = of(&own, &rest) * factor.solve(&y);
-            wrong += own
+            expected += own
                 .iter()
                 .zip(told.iter())
                 .map(|(w, t)| (f[*w] - t).powi(2))
                 .sum::<f64>();
         }
-        let found = held_out(a, &f, &m.stretch_of).expect("positive");
-        assert!((found / wrong - 1.0).abs() < 1e-6, "{found} {wrong}");
+        let f = DMatrix::from_vec(200, 1, f);
+        let found = wrong(a, &f, &m.stretch_of)
+            .expect("positive")
+            .norm_squared();
+        assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
     }
 }
