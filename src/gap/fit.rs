@@ -44,6 +44,8 @@ pub(super) struct Fitted {
     pub x: Vec<f64>,
     /// of residuals and priors
     pub cost: f64,
+    /// of the residuals of each window
+    pub each: Vec<f64>,
 }
 
 /// A window simulated exactly.
@@ -186,7 +188,8 @@ impl Windows {
                 break;
             }
         }
-        Ok(Fitted { x, cost })
+        let each = here.iter().map(|window| window.cost).collect();
+        Ok(Fitted { x, cost, each })
     }
 
     /// The largest part of a step that the cost falls by; nothing if there is none.

@@ -95,17 +95,12 @@ impl Search<'_> {
         held.factor = windows.factor;
         let whole = held.len();
         let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
-        let fitted = held.fit(&[], ITERATIONS, &mut |_| true);
-        let each = fitted.and_then(|_| held.followed(&[]));
-        match each {
-            Ok(each) if each.len() == whole => {
-                let each: Vec<f64> = each.iter().map(|f| f.cost).collect();
-                Ok(Some(Held {
-                    cost: each.iter().sum::<f64>() + windows.problem.parameters.prior_cost(x),
-                    each,
-                    block_of: stretches(&recording, BLOCKS),
-                }))
-            }
+        match held.fit(&[], ITERATIONS, &mut |_| true) {
+            Ok(fit) if held.len() == whole => Ok(Some(Held {
+                cost: fit.cost + windows.problem.parameters.prior_cost(x),
+                each: fit.each,
+                block_of: stretches(&recording, BLOCKS),
+            })),
             Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
             _ => Ok(None),
         }
