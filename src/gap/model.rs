@@ -5,10 +5,7 @@ use crate::sysid::parameter::{ParameterRule, Parameters};
 use crate::sysid::problem::Problem;
 
 use super::GapError;
-use super::effect::{
-    self, Effect, Estimated, Form, ModelFile, Parameter, Place, Role, Scales, Sign,
-};
-use super::screen::BEYOND;
+use super::effect::{self, Effect, Estimated, Form, ModelFile, Parameter, Place, Role, Scales};
 
 /// An effect that was put into the model.
 #[derive(Debug, Clone)]
@@ -58,7 +55,7 @@ impl Built {
             let scales = measured.scales(&built.file.model, &c.place);
             for mut e in written.estimated {
                 let parameter = &c.effect.about().parameters[e.parameter];
-                let ends = sensible(parameter, &scales).map(|value| e.number_of(value));
+                let ends = parameter.sensible(&scales).map(|value| e.number_of(value));
                 let (lower, upper) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
                 let start = e.rule.start.unwrap_or(0.0);
                 if lower < start && start < upper {
@@ -139,20 +136,6 @@ impl Built {
 /// Part of the way to where an effect is absurd at which it is there: a fit stops short of its bounds.
 const AT_BOUND: f64 = 0.01;
 
-/// Values beyond which an effect is absurd: of a shape that is positive, from its range's low end.
-pub(super) fn sensible(parameter: &Parameter, scales: &Scales) -> [f64; 2] {
-    let beyond = match parameter.role {
-        Role::Threshold(_) => 1.0, // a share of what there is
-        _ => BEYOND,
-    };
-    let most = beyond * parameter.high;
-    let least = match (parameter.role, parameter.sign) {
-        (Role::Shape(_), Sign::Positive) => parameter.low,
-        _ => -most,
-    };
-    [least, most].map(|multiple| multiple * parameter.scale(scales))
-}
-
 /// Sizes that the recordings show at every hinge and slide.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Measured {
@@ -228,7 +211,7 @@ impl Chosen {
         let parameters = self.effect.about().parameters.iter();
         let mut each = parameters.zip(&self.values);
         each.any(|(p, value)| {
-            let [least, most] = sensible(p, scales);
+            let [least, most] = p.sensible(scales);
             match p.role {
                 Role::Amplitude => value.abs() >= (1.0 - AT_BOUND) * most,
                 Role::Shape(_) => least > 0.0 && *value <= (1.0 + AT_BOUND) * least,

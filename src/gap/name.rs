@@ -11,7 +11,7 @@
 
 use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
-use super::model::{Chosen, sensible};
+use super::model::Chosen;
 use super::result::{Experiment, Named, Untestable, Value, Where};
 use super::score::Normal;
 use super::screen::{Candidate, Screen};
@@ -57,7 +57,7 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
                 let half = two_sided_t(0.95, dof.max(1.0)) * sigma + by_step;
                 let [least, most] = match (parameter.role, parameter.sign) {
                     // nothing beyond was looked at: wider, it is not determined
-                    (Role::Shape(_), _) => sensible(parameter, &scales),
+                    (Role::Shape(_), _) => parameter.sensible(&scales),
                     (_, Sign::Positive) => [0.0, f64::INFINITY],
                     _ => [f64::NEG_INFINITY, f64::INFINITY],
                 };

@@ -25,8 +25,6 @@ const FEW: usize = 4;
 const PART: usize = 4;
 /// An effect whose columns are others' to this part cannot be seen.
 pub(super) const LEAST_VISIBLE: f64 = 0.005;
-/// How many times the largest size to be expected a size may be.
-pub(super) const BEYOND: f64 = 4.0;
 /// Part of a column's squared length that first states must leave: less is rounding.
 const LEFT: f64 = 1e-8;
 /// How often the best candidates are looked at again, and how many of them.
@@ -397,7 +395,7 @@ fn candidate(
                 }
                 _ => {
                     sensible &= p.sign == Sign::Either || *beta > 0.0;
-                    sensible &= beta.abs() <= BEYOND * p.high * p.scale(&scales);
+                    sensible &= beta.abs() <= p.sensible(&scales)[1];
                     values[i] = *beta;
                 }
             }

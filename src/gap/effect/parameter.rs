@@ -68,6 +68,9 @@ pub enum Dimension {
     Share,
 }
 
+/// How many times the largest size to be expected a size may be.
+const BEYOND: f64 = 4.0;
+
 /// One parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Parameter {
@@ -79,7 +82,7 @@ pub struct Parameter {
     pub role: Role,
     /// values that make sense
     pub sign: Sign,
-    /// size of a barely visible effect, in multiples of the scale
+    /// size of a barely visible effect, in multiples of the scale; of a positive shape the least that makes sense
     pub low: f64,
     /// size of the largest to be expected
     pub high: f64,
@@ -210,6 +213,20 @@ impl Parameter {
             }
             _ => Vec::new(),
         }
+    }
+
+    /// Values beyond which an effect is absurd: of a shape that is positive, from its range's low end.
+    pub(in crate::gap) fn sensible(&self, scales: &Scales) -> [f64; 2] {
+        let beyond = match self.role {
+            Role::Threshold(_) => 1.0, // a share of what there is
+            _ => BEYOND,
+        };
+        let most = beyond * self.high;
+        let least = match (self.role, self.sign) {
+            (Role::Shape(_), Sign::Positive) => self.low,
+            _ => -most,
+        };
+        [least, most].map(|multiple| multiple * self.scale(scales))
     }
 
     /// Whether the effect is absent where it and its like are 0.
