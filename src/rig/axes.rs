@@ -78,6 +78,13 @@ impl Axis {
         }
     }
 
+    /// The greatest torque of a plain motor in size, if its control is limited.
+    pub(super) fn full_torque(&self) -> Option<f64> {
+        let [low, high] = self.ctrl_range?;
+        let torque = self.torque(low).abs().max(self.torque(high).abs());
+        (torque > 0.0).then_some(torque)
+    }
+
     /// Torque of a plain motor.
     pub(super) fn torque(&self, ctrl: f64) -> f64 {
         let ctrl = match self.ctrl_range {

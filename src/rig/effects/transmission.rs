@@ -10,8 +10,10 @@
 use super::{Bound, Effect};
 use crate::rig::axes::Axis;
 
-/// Compliance of a transmission that only has play: stiff beside anything else, rad/(N m).
+/// Largest compliance of a transmission that only has play, rad/(N m).
 const PLAIN_COMPLIANCE: f64 = 2e-4;
+/// Part of the play that the greatest torque stretches it by: it is stiff beside anything else.
+const PLAIN_STRETCH: f64 = 0.01;
 /// Damping ratio of the motor on its spring: wound steel rope.
 const DAMPING_RATIO: f64 = 0.3;
 /// Largest phase of the resonance a substep, rad.
@@ -51,14 +53,19 @@ impl Transmission {
             let of = effects.iter().filter(|b| b.effect == effect);
             of.map(|b| b.values[0]).sum()
         };
-        let compliance = sum(Effect::TransmissionCompliance).max(PLAIN_COMPLIANCE);
+        let play = sum(Effect::Backlash);
+        let plain = match axis.full_torque() {
+            Some(torque) if play > 0.0 => PLAIN_COMPLIANCE.min(PLAIN_STRETCH * play / torque),
+            _ => PLAIN_COMPLIANCE,
+        };
+        let compliance = sum(Effect::TransmissionCompliance).max(plain);
         let stiffness = 1.0 / compliance;
         let resonance = (stiffness / inertia).sqrt();
         Ok(Self {
             dof: axis.dof,
             qpos: axis.qpos,
             stiffness,
-            half_play: 0.5 * sum(Effect::Backlash),
+            half_play: 0.5 * play,
             inertia,
             damping: 2.0 * DAMPING_RATIO * (stiffness * inertia).sqrt(),
             substeps: (step_s * resonance / PHASE_PER_SUBSTEP).ceil().max(1.0) as u32,
@@ -125,5 +132,24 @@ mod tests {
         assert!((passed - 0.1).abs() < 1e-6, "{passed}");
         let stretch = 0.1 * PLAIN_COMPLIANCE;
         assert!((transmission.angle - (0.005 + stretch)).abs() < 1e-6);
+    }
+
+    /// Its stretch was 2e-4 rad/(N m) whatever the motor, as much as the play of a strong one.
+    #[test]
+    fn play_alone_does_not_stretch() {
+        let bound = |effect, amount| Bound {
+            effect,
+            elements: vec![0],
+            partner: None,
+            values: vec![amount],
+        };
+        let mut axis = Axis::of_motor(0.01);
+        axis.ctrl_range = Some([-8.0, 5.0]);
+        let play = bound(Effect::Backlash, 0.002);
+        let own = Transmission::new(&[&play], &axis, 1e-4).expect("a rotor");
+        assert!((8.0 / own.stiffness - 2e-5).abs() < 1e-12);
+        let stretch = bound(Effect::TransmissionCompliance, 0.01);
+        let both = Transmission::new(&[&play, &stretch], &axis, 1e-4).expect("a rotor");
+        assert!((both.stiffness - 100.0).abs() < 1e-9);
     }
 }
