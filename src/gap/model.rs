@@ -231,6 +231,19 @@ pub(super) struct Variant {
     pub parameters: Vec<usize>,
 }
 
+impl Variant {
+    /// Whether what is `expected` of every column makes sense.
+    pub(super) fn makes_sense(
+        &self,
+        parameters: &[Parameter],
+        expected: &[f64],
+        scales: &Scales,
+    ) -> bool {
+        let mut each = self.parameters.iter().zip(expected);
+        each.all(|(&p, &expected)| parameters[p].makes_sense(expected, scales))
+    }
+}
+
 /// All variants of an effect: every shape at its first value, and each at its others with the rest at their first.
 pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant> {
     let grids: Vec<Vec<f64>> = parameters.iter().map(|p| p.grid(scales)).collect();
@@ -259,10 +272,7 @@ pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant
                     Role::Threshold(_) => values[i] = set[i],
                     _ => values[i] = parameters[i].typical(scales),
                 }
-                let size = match parameters[i].role {
-                    Role::Threshold(_) | Role::Switch => 1.0,
-                    _ => values[i],
-                };
+                let size = parameters[i].unit_size(scales);
                 (size, values)
             });
             Variant {

@@ -146,7 +146,7 @@ fn separation(
     let parameters = candidate.effect.about().parameters;
     for (&i, per_one) in candidate.parameters.iter().zip(&instead) {
         let (p, value) = (&parameters[i], per_one * change);
-        if matches!(p.role, Role::Threshold(_) | Role::Switch) {
+        if p.is_whole() {
             continue;
         }
         // of the wrong sign or absurdly large it is no explanation

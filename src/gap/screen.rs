@@ -34,9 +34,6 @@ const AGAIN: usize = 16;
 const LEAST_AGAIN: f64 = 0.02;
 /// Part of a response that a channel must show to count.
 const SHOWN: f64 = 0.1;
-/// Factor of a threshold's column that still means about that threshold.
-const ALL_OR_NOTHING: [f64; 2] = [0.4, 2.5];
-
 /// An effect at a place, with what it would explain.
 #[derive(Debug, Clone)]
 pub(super) struct Candidate {
@@ -127,7 +124,12 @@ impl Look<'_> {
         let Some(looked) = self.columns(&all, many, at, PART, &mut |n| watch(n, of))? else {
             return Ok(None);
         };
-        tried.extend(best(looked, &linear, &prior));
+        let sensible = |i: usize, variant: &Variant, expected: &[f64]| {
+            let (effect, place) = &all[i];
+            let scales = self.measured.scales(&self.built.file.model, place);
+            variant.makes_sense(effect.about().parameters, expected, &scales)
+        };
+        tried.extend(best(looked, &linear, &prior, &sensible));
         tried.sort_by_key(|(i, _)| *i);
         let Some(looked) = self.columns(&all, tried, at, 1, &mut |n| watch(n_many + n, of))? else {
             return Ok(None);
@@ -209,8 +211,7 @@ impl Look<'_> {
                 let most = parameter.high * parameter.scale(&scales);
                 let beta = beta.clamp(-most, most);
                 let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
-                let whole = matches!(parameter.role, Role::Threshold(_) | Role::Switch);
-                if whole || wrong || beta.abs() < LEAST_AGAIN * size.abs() {
+                if parameter.is_whole() || wrong || beta.abs() < LEAST_AGAIN * size.abs() {
                     continue;
                 }
                 let mut values = values.clone();
@@ -343,11 +344,17 @@ impl Look<'_> {
     }
 }
 
-/// The best variant of each candidate by a part of the windows, with all that it consists of.
-fn best(looked: Vec<Looked>, linear: &Linear, prior: &[(f64, f64)]) -> Vec<(usize, Variant)> {
+/// The best variant of each candidate by a part of the windows, with all that it consists of: one of those of `sensible`
+/// size, if there is one.
+fn best(
+    looked: Vec<Looked>,
+    linear: &Linear,
+    prior: &[(f64, f64)],
+    sensible: &dyn Fn(usize, &Variant, &[f64]) -> bool,
+) -> Vec<(usize, Variant)> {
     let some: Vec<usize> = (0..linear.rows.len()).step_by(PART).collect();
     let rows: Vec<_> = some.iter().map(|w| linear.rows[*w].clone()).collect();
-    let mut best: BTreeMap<usize, (f64, Variant)> = BTreeMap::new();
+    let mut best: BTreeMap<usize, ((bool, f64), Variant)> = BTreeMap::new();
     for (i, variant, own) in looked {
         let parts: Vec<Column> = (own.iter())
             .map(|c| Column {
@@ -356,11 +363,13 @@ fn best(looked: Vec<Looked>, linear: &Linear, prior: &[(f64, f64)]) -> Vec<(usiz
             })
             .collect();
         let normal = Normal::new(&rows, &parts, &vec![0; rows.len()], prior);
-        let gain = normal
+        let rated = normal
             .gain(&(0..parts.len()).collect::<Vec<_>>())
-            .map_or(0.0, |g| g.0);
-        if best.get(&i).is_none_or(|(g, _)| gain > *g) {
-            best.insert(i, (gain, variant));
+            .map_or((false, 0.0), |(gain, expected)| {
+                (sensible(i, &variant, &expected), gain)
+            });
+        if best.get(&i).is_none_or(|(most, _)| rated > *most) {
+            best.insert(i, (rated, variant));
         }
     }
     let each = best.into_iter();
@@ -387,17 +396,10 @@ fn candidate(
     let score = normal.score(&own);
     let (mut sensible, mut size) = (true, None);
     if let Some(score) = &score {
+        sensible = variant.makes_sense(parameters, &score.expected, &scales);
         for (&i, beta) in variant.parameters.iter().zip(&score.expected) {
-            let p = &parameters[i];
-            match p.role {
-                Role::Threshold(_) | Role::Switch => {
-                    sensible &= (ALL_OR_NOTHING[0]..=ALL_OR_NOTHING[1]).contains(beta);
-                }
-                _ => {
-                    sensible &= p.sign == Sign::Either || *beta > 0.0;
-                    sensible &= beta.abs() <= p.sensible(&scales)[1];
-                    values[i] = *beta;
-                }
+            if !parameters[i].is_whole() {
+                values[i] = *beta;
             }
         }
         let response: Vec<DVector<f64>> = (0..look.windows.len())

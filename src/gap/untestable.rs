@@ -68,10 +68,7 @@ fn is_lost(search: &Search<'_>, candidate: &Candidate, n_tests: usize) -> bool {
     let strength: f64 = score.expected.iter().map(|e| e * e).sum::<f64>().sqrt();
     let numbers = candidate.parameters.iter().zip(&score.sigma);
     numbers.into_iter().all(|(&i, sigma)| {
-        let usual = match parameters[i].role {
-            Role::Threshold(_) | Role::Switch => 1.0,
-            _ => parameters[i].typical(&scales),
-        };
+        let usual = parameters[i].unit_size(&scales);
         let p = two_sided(usual / sigma, score.dof) * n_tests as f64;
         // a response grows with the effect
         let small = (candidate.size).is_some_and(|size| {

@@ -70,6 +70,8 @@ pub enum Dimension {
 
 /// How many times the largest size to be expected a size may be.
 const BEYOND: f64 = 4.0;
+/// Factor of a threshold's column that still means about that threshold.
+const ALL_OR_NOTHING: [f64; 2] = [0.4, 2.5];
 
 /// One parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -227,6 +229,29 @@ impl Parameter {
             _ => -most,
         };
         [least, most].map(|multiple| multiple * self.scale(scales))
+    }
+
+    /// Whether it is there as a whole or not at all: its column has no size of its own.
+    pub(in crate::gap) fn is_whole(&self) -> bool {
+        matches!(self.role, Role::Threshold(_) | Role::Switch)
+    }
+
+    /// Size of its column: the usual one, or of a whole 1.
+    pub(in crate::gap) fn unit_size(&self, scales: &Scales) -> f64 {
+        if self.is_whole() {
+            1.0
+        } else {
+            self.typical(scales)
+        }
+    }
+
+    /// Whether `expected` of its column makes sense: a size, or what the whole is multiplied by.
+    pub(in crate::gap) fn makes_sense(&self, expected: f64, scales: &Scales) -> bool {
+        if self.is_whole() {
+            return (ALL_OR_NOTHING[0]..=ALL_OR_NOTHING[1]).contains(&expected);
+        }
+        let positive = self.sign == Sign::Either || expected > 0.0;
+        positive && expected.abs() <= self.sensible(scales)[1]
     }
 
     /// Whether the effect is absent where it and its like are 0.

@@ -77,7 +77,7 @@ fn sizes(candidate: &Candidate, scales: &Scales) -> Vec<(usize, f64, Vec<f64>)> 
     for variant in variants(parameters, scales) {
         for (&i, (_, values)) in variant.parameters.iter().zip(&variant.columns) {
             let p = &parameters[i];
-            if matches!(p.role, Role::Switch | Role::Threshold(_)) {
+            if p.is_whole() {
                 out.push((i, 1.0, values.clone()));
                 continue;
             }
