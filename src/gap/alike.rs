@@ -10,6 +10,10 @@
 //! While they are fitted channels are weighed by what the model before them leaves, which is more: there costs are less, for
 //! all by the factor by which that of k is.
 //!
+//! A machine moves on in no steps, a model in steps of h, which do what a late or early command does. C is therefore the
+//! cost without steps ([`super::step`]) where that is clearly less for the best fit of all. It is not for what was itself
+//! simulated in steps, nor where joints stick, of which half the step says little.
+//!
 //! Effects found later may tell them apart: what was alike before is fitted once more beside them.
 
 use serde::{Deserialize, Serialize};
@@ -24,6 +28,8 @@ use super::{GapError, Stage, Watch};
 
 /// Fall of the cost that a number more has to bring, to be the better of two.
 const NUMBER: f64 = 2.0;
+/// Part of the least cost that is left without steps where they matter.
+const CLEARLY: f64 = 0.8;
 
 /// Another effect, fitted in the place of one.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -52,26 +58,66 @@ impl Rival {
 }
 
 /// What a fit with a cost in units of what it leaves is rated at, its numbers `x` included.
-pub(super) fn price(cost: f64, x: &[f64]) -> f64 {
+fn price(cost: f64, x: &[f64]) -> f64 {
     cost + NUMBER * (x.len() as f64)
+}
+
+/// C of fits.
+///
+/// # Errors
+/// The engine refuses a number.
+pub(super) fn costs(fits: &[&Fitted]) -> Result<Vec<f64>, GapError> {
+    let with: Vec<f64> = fits.iter().map(|fit| fit.cost).collect();
+    if fits.len() < 2 {
+        return Ok(with);
+    }
+    let mut without = Vec::with_capacity(fits.len());
+    for fit in fits {
+        let Some(change) = fit.windows.cost_of_steps(&fit.x, &fit.shapes())? else {
+            return Ok(with);
+        };
+        without.push(fit.cost + change);
+    }
+    let least = |costs: &[f64]| costs.iter().copied().fold(f64::INFINITY, f64::min);
+    Ok(if least(&without) < CLEARLY * least(&with) {
+        without
+    } else {
+        with
+    })
 }
 
 fn apart(price: f64, chosen: f64) -> f64 {
     (2.0 * (price - chosen)).max(0.0)
 }
 
-/// Rivals of the fit `chosen` of all, the added effect of each being the last; costs are to be multiplied by `scale`.
-pub(super) fn rivals(fitted: &[(Fitted, &Candidate)], chosen: usize, scale: f64) -> Vec<Rival> {
-    let price = |fit: &Fitted| price(scale * fit.cost, &fit.x);
-    let own = price(&fitted[chosen].0);
-    let others = fitted.iter().enumerate().filter(|(i, _)| *i != chosen);
+/// A candidate in the model, fitted.
+pub(super) struct Tried<'s> {
+    pub fit: Fitted,
+    pub candidate: &'s Candidate,
+    /// C
+    pub cost: f64,
+}
+
+impl Tried<'_> {
+    /// In units of what is left before: a number more has to be worth it beside what nothing explains.
+    pub(super) fn price(&self) -> f64 {
+        price(self.cost, &self.fit.x)
+    }
+}
+
+/// Rivals of the fit `chosen` of all, the added effect of each being the last, where that is known to leave `cost`.
+pub(super) fn rivals(tried: &[Tried<'_>], chosen: usize, cost: f64) -> Vec<Rival> {
+    let scale = cost / tried[chosen].cost;
+    let price = |t: &Tried<'_>| price(scale * t.cost, &t.fit.x);
+    let own = price(&tried[chosen]);
+    let others = tried.iter().enumerate().filter(|(i, _)| *i != chosen);
     others
-        .filter_map(|(_, (fit, c))| {
+        .filter_map(|(_, t)| {
             let rival = Rival {
-                name: c.effect.about().name.to_owned(),
-                place: c.place.clone(),
-                values: fit.chosen.last()?.values.clone(),
-                separation: apart(price(fit), own),
+                name: t.candidate.effect.about().name.to_owned(),
+                place: t.candidate.place.clone(),
+                values: t.fit.chosen.last()?.values.clone(),
+                separation: apart(price(t), own),
             };
             (rival.separation < APART).then_some(rival)
         })
@@ -88,7 +134,7 @@ impl Search<'_> {
             return Ok(());
         }
         watch.stage(Stage::Refit);
-        let own = price(self.cost, &self.x);
+        let present = self.present();
         for i in 0..self.evidence.len() {
             let mut left = Vec::new();
             for rival in std::mem::take(&mut self.evidence[i].alike) {
@@ -107,7 +153,10 @@ impl Search<'_> {
                 let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
                     continue;
                 };
-                let separation = apart(price(fitted.cost, &fitted.x), own);
+                let cost = costs(&[&present, &fitted])?;
+                let scale = self.cost / cost[0];
+                let own = price(self.cost, &self.x);
+                let separation = apart(price(scale * cost[1], &fitted.x), own);
                 if separation < APART {
                     left.push(Rival {
                         separation,

@@ -361,7 +361,7 @@ struct Taken {
 }
 
 /// Σ J̃ᵀJ̃.
-fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
+pub(super) fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
     let mut normal = DMatrix::zeros(np, np);
     for row in &linear.rows {
         normal.gemm_tr(1.0, &row.parameters, &row.parameters, 1.0);
@@ -370,7 +370,7 @@ fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
 }
 
 /// Adds priors and a ridge.
-fn add_priors(
+pub(super) fn add_priors(
     parameters: &Parameters,
     x: &[f64],
     normal: &mut DMatrix<f64>,

@@ -13,7 +13,7 @@
 
 use nalgebra::DVector;
 
-use super::alike;
+use super::alike::{self, Tried};
 use super::held_out::both;
 use super::model::Chosen;
 use super::score::Score;
@@ -120,15 +120,22 @@ impl Search<'_> {
         if fitted.is_empty() {
             return Ok(false);
         }
-        // in units of what is left now: a number more has to be worth it beside what nothing explains
-        let rated = |f: &Fitted| alike::price(f.cost, &f.x);
-        fitted.sort_by(|a, b| rated(&a.0).total_cmp(&rated(&b.0)));
+        let fits: Vec<&Fitted> = fitted.iter().map(|f| &f.0).collect();
+        let costs = alike::costs(&fits)?;
+        let mut tried: Vec<Tried<'_>> = (fitted.into_iter().zip(costs))
+            .map(|((fit, candidate), cost)| Tried {
+                fit,
+                candidate,
+                cost,
+            })
+            .collect();
+        tried.sort_by(|a, b| a.price().total_cmp(&b.price()));
         let rows = screen.linear.rows.iter();
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
         let held_before = self.held(&self.built, &self.windows, &self.x)?;
-        let n_fitted = fitted.len() as f64;
-        for (i, (own, c)) in fitted.iter().enumerate() {
+        for (i, of) in tried.iter().enumerate() {
+            let own = &of.fit;
             let gain = (self.cost - own.cost) / self.cost;
             let own_size = left.map(|part| part * gain.sqrt());
             if own_size.is_some_and(|size| size < OWN * self.limits.size) {
@@ -151,18 +158,18 @@ impl Search<'_> {
             let mut then = self.clone();
             then.take(own.clone());
             then.settle(watch)?;
-            let mut evidence = then.evidence(c, tests(screen), gain)?;
+            let mut evidence = then.evidence(of.candidate, tests(screen), gain)?;
             if let (Some(before), Some(held)) = (&held_before, &held)
                 && evidence.p_value <= LIKELY_STILL
             {
-                let chance = (n_fitted * held.chance(before)).min(1.0);
+                let chance = (tried.len() as f64 * held.chance(before)).min(1.0);
                 // few blocks say little: they take nothing away
                 evidence.p_value = both(evidence.p_value, chance).min(evidence.p_value);
             }
             let large = evidence.size.is_none_or(|size| size >= self.limits.size);
             let much = gain >= MUCH && below(MUCH);
             if evidence.p_value <= self.limits.family_p && (large || much) {
-                evidence.alike = alike::rivals(&fitted, i, then.cost / own.cost);
+                evidence.alike = alike::rivals(&tried, i, then.cost);
                 then.evidence.push(evidence);
                 *self = then;
                 return Ok(true);

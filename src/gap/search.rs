@@ -313,6 +313,18 @@ impl<'a> Search<'a> {
         }))
     }
 
+    /// The present model.
+    pub(super) fn present(&self) -> Fitted {
+        Fitted {
+            chosen: self.chosen.clone(),
+            written: self.written.clone(),
+            built: self.built.clone(),
+            x: self.x.clone(),
+            cost: self.cost,
+            windows: self.windows.clone(),
+        }
+    }
+
     /// Makes a fitted model the present one.
     pub(super) fn take(&mut self, fitted: Fitted) {
         (self.chosen, self.written) = (fitted.chosen, fitted.written);
@@ -358,6 +370,14 @@ pub(super) struct Fitted {
 }
 
 impl Fitted {
+    /// Free parameters that are shapes of effects.
+    pub(super) fn shapes(&self) -> Vec<usize> {
+        let free = self.built.free(&self.windows.problem);
+        let role = |i: usize, p: usize| self.chosen[i].effect.about().parameters[p].role;
+        let shapes = (free.into_iter()).filter(|f| matches!(role(f.1, f.2), Role::Shape(_)));
+        shapes.map(|f| f.0).collect()
+    }
+
     /// Goes on with the fit.
     ///
     /// # Errors

@@ -8,15 +8,18 @@
 //! dx = −2 (J̃ᵀJ̃ + P)⁻¹ J̃ᵀ (r(h/2) − r(h))
 //! ```
 //!
-//! twice, as half the error is gone in half the step, and belongs to the intervals of numbers (Richardson 1911).
+//! twice, as half the error is gone in half the step, and belongs to the intervals of numbers (Richardson 1911). With
+//! r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it would be without steps.
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::coarse;
+use super::fit::{add_priors, information};
 use super::linear::Linear;
 use super::score::Normal;
 use super::windows::Windows;
 use crate::sysid::SysidError;
+use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::simulate::Pool;
 
@@ -32,6 +35,72 @@ impl Windows {
         linear: &Linear,
         normal: &Normal,
     ) -> Result<Option<DVector<f64>>, SysidError> {
+        let Some(changes) = self.without_steps(x, linear)? else {
+            return Ok(None);
+        };
+        let mut along = DVector::zeros(x.len());
+        for (row, change) in linear.rows.iter().zip(&changes) {
+            // J̃ has nothing of what first states do
+            along.gemv_tr(-1.0, &row.parameters, change, 1.0);
+        }
+        Ok(Some(normal.solve(&along)))
+    }
+
+    /// What the cost would be more in steps of no length, parameters but those `at_rest` and first states fitted to that:
+    /// two models are told apart by it where steps of h do what one of them is about, as a drive that is late. `None` where
+    /// half the step breaks down.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn cost_of_steps(
+        &self,
+        x: &[f64],
+        at_rest: &[usize],
+    ) -> Result<Option<f64>, SysidError> {
+        let linear = self.linearise(x)?;
+        let Some(changes) = self.without_steps(x, &linear)? else {
+            return Ok(None);
+        };
+        let normal = information(&linear, x.len());
+        let with = linear.rows.iter().map(|row| row.residual.clone());
+        let without = (linear.rows.iter().zip(&changes))
+            .map(|(row, change)| &row.residual + change - &row.basis * row.basis.tr_mul(change));
+        // a fit that could go on would otherwise go on for one of them
+        let least = |residuals| self.least_cost((x, at_rest), &linear, &normal, residuals);
+        Ok(Some(least(without.collect()) - least(with.collect())))
+    }
+
+    /// Cost of these residuals of all windows, parameters fitted to them from `x`.
+    fn least_cost(
+        &self,
+        (x, at_rest): (&[f64], &[usize]),
+        linear: &Linear,
+        normal: &DMatrix<f64>,
+        residuals: Vec<DVector<f64>>,
+    ) -> f64 {
+        let parameters = &self.problem.parameters;
+        let (mut normal, mut right) = (normal.clone(), DVector::zeros(x.len()));
+        for (row, residual) in linear.rows.iter().zip(&residuals) {
+            right.gemv_tr(-1.0, &row.parameters, residual, 1.0);
+        }
+        add_priors(parameters, x, &mut normal, &mut right);
+        let (mut low, mut high): (Vec<f64>, Vec<f64>) = parameters.reach(x).unzip();
+        for &j in at_rest {
+            (low[j], high[j]) = (0.0, 0.0);
+        }
+        let dx = DVector::from_vec(solve_in_box(&normal, &right, &low, &high));
+        let to: Vec<f64> = x.iter().zip(dx.iter()).map(|(x, d)| x + d).collect();
+        let each = linear.rows.iter().zip(residuals);
+        let squares = each.map(|(row, residual)| (residual + &row.parameters * &dx).norm_squared());
+        0.5 * squares.sum::<f64>() + parameters.prior_cost(&to)
+    }
+
+    /// 2 (r(h/2) − r(h)) of every window, weighed as its row.
+    fn without_steps(
+        &self,
+        x: &[f64],
+        linear: &Linear,
+    ) -> Result<Option<Vec<DVector<f64>>>, SysidError> {
         let held = self.held(&self.problem, x);
         let fine = coarse::problem(&held, 0.5)?;
         let fine_windows = coarse::windows(&linear.windows, 0.5);
@@ -49,7 +118,7 @@ impl Windows {
         };
         let whole = point(&held, &linear.windows, &linear.placed, &pools[0]).simulate()?;
         let half = point(&fine, &fine_windows, &fine_placed, &pools[1]).simulate()?;
-        let mut along = DVector::zeros(x.len());
+        let mut changes = Vec::with_capacity(linear.rows.len());
         for (w, row) in linear.rows.iter().enumerate() {
             let (Some(whole), Some(half)) = (&whole[w], &half[w]) else {
                 return Ok(None);
@@ -57,11 +126,9 @@ impl Windows {
             let z = whole.samples(&held, &linear.windows[w], &linear.placed[w]);
             let z_half = half.samples(&fine, &fine_windows[w], &fine_placed[w]);
             let change =
-                (z.zip(z_half).zip(&row.factor)).map(|((z, z_half), f)| f * (z_half.0 - z.0));
-            // J̃ has nothing of what first states do
-            let change = DVector::from_iterator(row.residual.len(), change);
-            along.gemv_tr(-2.0, &row.parameters, &change, 1.0);
+                (z.zip(z_half).zip(&row.factor)).map(|((z, z_half), f)| 2.0 * f * (z_half.0 - z.0));
+            changes.push(DVector::from_iterator(row.residual.len(), change));
         }
-        Ok(Some(normal.solve(&along)))
+        Ok(Some(changes))
     }
 }
