@@ -22,9 +22,9 @@ use super::search::{self, Evidence, Fitted, Search};
 use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted in full before one is kept.
-const RIVALS: usize = 6;
+const RIVALS: usize = 8;
 /// So many candidates would look as good by chance, of one that is worth a fit.
-const LIKELY: f64 = 1.0;
+const LIKELY: f64 = 3.0;
 /// Part of the least size that such a one promises.
 const LARGE: f64 = 0.1;
 /// Part of the best one's gain that a rival has.
