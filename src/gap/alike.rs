@@ -10,9 +10,10 @@
 //! While they are fitted channels are weighed by what the model before them leaves, which is more: there costs are less, for
 //! all by the factor by which that of k is.
 //!
-//! A machine moves on in no steps, a model in steps of h, which do what a late or early command does. C is therefore the
-//! cost without steps ([`super::step`]) where that is clearly less for the best fit of all. It is not for what was itself
-//! simulated in steps, nor where joints stick, of which half the step says little.
+//! A machine moves on in no steps, a model in steps of h, which do what a late or early command does. There is therefore
+//! also a cost without steps ([`super::step`]), which orders the rivals where it is clearly less for the best fit of all. It
+//! is not for what was itself simulated in steps, nor where joints stick, of which half the step says little. What is
+//! alike by one of both costs is alike: nobody knows the machine's steps.
 //!
 //! Effects found later may tell them apart: what was alike before is fitted once more beside them.
 
@@ -30,6 +31,9 @@ use super::{GapError, Stage, Watch};
 const NUMBER: f64 = 2.0;
 /// Part of the least cost that is left without steps where they matter.
 const CLEARLY: f64 = 0.8;
+/// Places of costs with and without steps.
+const WITH: usize = 0;
+const WITHOUT: usize = 1;
 
 /// Another effect, fitted in the place of one.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -62,28 +66,33 @@ fn price(cost: f64, x: &[f64]) -> f64 {
     cost + NUMBER * (x.len() as f64)
 }
 
-/// C of fits.
+/// C of fits, with steps and without, and which of the two orders them.
 ///
 /// # Errors
 /// The engine refuses a number.
-pub(super) fn costs(fits: &[&Fitted]) -> Result<Vec<f64>, GapError> {
-    let with: Vec<f64> = fits.iter().map(|fit| fit.cost).collect();
+pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError> {
+    let with: Vec<[f64; 2]> = fits.iter().map(|fit| [fit.cost; 2]).collect();
     if fits.len() < 2 {
-        return Ok(with);
+        return Ok((with, WITH));
     }
-    let mut without = Vec::with_capacity(fits.len());
-    for fit in fits {
+    let mut both = with.clone();
+    for (fit, own) in fits.iter().zip(&mut both) {
         let Some(change) = fit.windows.cost_of_steps(&fit.x, &fit.shapes())? else {
-            return Ok(with);
+            return Ok((with, WITH));
         };
-        without.push(fit.cost + change);
+        own[WITHOUT] += change;
     }
-    let least = |costs: &[f64]| costs.iter().copied().fold(f64::INFINITY, f64::min);
-    Ok(if least(&without) < CLEARLY * least(&with) {
-        without
-    } else {
-        with
-    })
+    let least = |k: usize| both.iter().map(|c| c[k]).fold(f64::INFINITY, f64::min);
+    let clearly = least(WITHOUT) < CLEARLY * least(WITH);
+    Ok((both, if clearly { WITHOUT } else { WITH }))
+}
+
+/// d² of a rival from what is chosen, which leaves `left`: the smaller of that with steps and that without.
+fn separation(rival: (&[f64; 2], &[f64]), chosen: (&[f64; 2], &[f64]), left: f64) -> f64 {
+    let own = price(left, chosen.1);
+    let each = (rival.0.iter().zip(chosen.0))
+        .map(|(cost, chosen)| apart(price(left / chosen * cost, rival.1), own));
+    each.fold(f64::INFINITY, f64::min)
 }
 
 fn apart(price: f64, chosen: f64) -> f64 {
@@ -94,22 +103,20 @@ fn apart(price: f64, chosen: f64) -> f64 {
 pub(super) struct Tried<'s> {
     pub fit: Fitted,
     pub candidate: &'s Candidate,
-    /// C
-    pub cost: f64,
+    /// C with steps and without
+    pub costs: [f64; 2],
 }
 
 impl Tried<'_> {
-    /// In units of what is left before: a number more has to be worth it beside what nothing explains.
-    pub(super) fn price(&self) -> f64 {
-        price(self.cost, &self.fit.x)
+    /// In units of what is left before, by the cost `which`: a number more has to be worth it beside what nothing explains.
+    pub(super) fn price(&self, which: usize) -> f64 {
+        price(self.costs[which], &self.fit.x)
     }
 }
 
 /// Rivals of the fit `chosen` of all, the added effect of each being the last, where that is known to leave `cost`.
 pub(super) fn rivals(tried: &[Tried<'_>], chosen: usize, cost: f64) -> Vec<Rival> {
-    let scale = cost / tried[chosen].cost;
-    let price = |t: &Tried<'_>| price(scale * t.cost, &t.fit.x);
-    let own = price(&tried[chosen]);
+    let own = &tried[chosen];
     let others = tried.iter().enumerate().filter(|(i, _)| *i != chosen);
     others
         .filter_map(|(_, t)| {
@@ -117,7 +124,7 @@ pub(super) fn rivals(tried: &[Tried<'_>], chosen: usize, cost: f64) -> Vec<Rival
                 name: t.candidate.effect.about().name.to_owned(),
                 place: t.candidate.place.clone(),
                 values: t.fit.chosen.last()?.values.clone(),
-                separation: apart(price(t), own),
+                separation: separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost),
             };
             (rival.separation < APART).then_some(rival)
         })
@@ -153,10 +160,9 @@ impl Search<'_> {
                 let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
                     continue;
                 };
-                let cost = costs(&[&present, &fitted])?;
-                let scale = self.cost / cost[0];
-                let own = price(self.cost, &self.x);
-                let separation = apart(price(scale * cost[1], &fitted.x), own);
+                let (costs, _) = costs(&[&present, &fitted])?;
+                let own = (&costs[0], &self.x[..]);
+                let separation = separation((&costs[1], &fitted.x), own, self.cost);
                 if separation < APART {
                     left.push(Rival {
                         separation,

@@ -121,15 +121,15 @@ impl Search<'_> {
             return Ok(false);
         }
         let fits: Vec<&Fitted> = fitted.iter().map(|f| &f.0).collect();
-        let costs = alike::costs(&fits)?;
+        let (costs, which) = alike::costs(&fits)?;
         let mut tried: Vec<Tried<'_>> = (fitted.into_iter().zip(costs))
-            .map(|((fit, candidate), cost)| Tried {
+            .map(|((fit, candidate), costs)| Tried {
                 fit,
                 candidate,
-                cost,
+                costs,
             })
             .collect();
-        tried.sort_by(|a, b| a.price().total_cmp(&b.price()));
+        tried.sort_by(|a, b| a.price(which).total_cmp(&b.price(which)));
         let rows = screen.linear.rows.iter();
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
