@@ -175,3 +175,21 @@ impl Search<'_> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A drive's delay that followed a lag better in steps, and worse without, is told from it by neither alone.
+    #[test]
+    fn what_is_alike_by_one_cost_is_alike() {
+        let x = [0.0; 3];
+        let (lag, left) = ([7.67, 4.29], 248.0);
+        let of = |rival: [f64; 2]| separation((&rival, &x), (&lag, &x), left);
+        assert!(of([5.82, 23.94]) < APART);
+        assert!(of([23.0, 4.30]) < APART);
+        assert!(of([7.67, 4.29]) < 1e-9);
+        let apart = of([9.0, 23.94]);
+        assert!((apart - 2.0 * 248.0 * (9.0 / 7.67 - 1.0)).abs() < 1e-6 && apart > APART);
+    }
+}

@@ -132,3 +132,80 @@ impl Windows {
         Ok(Some(changes))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::mujoco::{Data, Model};
+    use crate::recording::{Channel, Kind, Meta, Recording, Stream};
+    use crate::sysid::problem::{Problem, ProblemConfig};
+
+    /// A driven pendulum; `STEP` stands for its step, s.
+    const MACHINE: &str = r#"<mujoco>
+      <compiler angle="radian"/>
+      <option timestep="STEP"/>
+      <worldbody>
+        <body>
+          <inertial pos="0 0 -0.3" mass="0.4" diaginertia="0.004 0.004 0.004"/>
+          <joint name="hinge" axis="0 1 0" damping="0.05"/>
+        </body>
+      </worldbody>
+      <actuator><motor name="drive" joint="hinge"/></actuator>
+      <sensor><jointpos name="angle" joint="hinge"/></sensor>
+    </mujoco>"#;
+
+    fn model(step_s: &str) -> Arc<Model> {
+        let xml = MACHINE.replace("STEP", step_s);
+        Arc::new(Model::from_xml_text(&xml, "machine.xml").expect("a model"))
+    }
+
+    /// Cost without steps of 4 ms less that with them, of a machine that moves in `inner` of them.
+    fn cost_of_steps(machine: &Arc<Model>, inner: usize, command: &str) -> f64 {
+        const STEP_S: f64 = 0.004;
+        let mut data = Data::new(Arc::clone(machine)).expect("data");
+        let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
+            name: name.into(),
+            kind,
+            unit: unit.into(),
+            noise_sigma,
+        };
+        let channels = vec![
+            channel("angle", Kind::Sensor, "rad", Some(1e-5)),
+            channel("drive", Kind::Control, "N m", None),
+        ];
+        let mut stream = Stream::new("all", Some(STEP_S.recip()), channels);
+        for k in 0..500 {
+            let t = f64::from(k) * STEP_S;
+            let torque = 0.6 * (4.0 * t).sin() + 0.3 * (11.0 * t).sin();
+            stream.push((t * 1e9) as i64, &[data.qpos()[0], torque]);
+            data.ctrl_mut()[0] = torque;
+            for _ in 0..inner {
+                data.step().expect("a step");
+            }
+        }
+        let recording = Recording {
+            meta: Meta::default(),
+            streams: vec![stream],
+        };
+        let config: ProblemConfig =
+            toml::from_str(&format!("command = \"{command}\"")).expect("a configuration");
+        let all = [("one".to_owned(), recording)];
+        let problem = Problem::new(model("0.004"), &config, &all).expect("a problem");
+        let mut windows = Windows::cut(&problem, &[], 0.4, 100).expect("windows");
+        windows.fit(&[], 20, &mut |_| true).expect("a fit");
+        let change = windows.cost_of_steps(&[], &[]).expect("simulations");
+        change.expect("that half the step does not break")
+    }
+
+    #[test]
+    fn steps_cost_a_machine_that_moves_in_none() {
+        assert!(cost_of_steps(&model("0.0001"), 40, "centred") < 0.0);
+    }
+
+    #[test]
+    fn none_cost_a_machine_that_moves_in_steps() {
+        assert!(cost_of_steps(&model("0.004"), 1, "held") > 0.0);
+    }
+}

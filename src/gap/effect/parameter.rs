@@ -338,3 +338,36 @@ fn capacity(model: &Model, joint: usize) -> Option<f64> {
         .filter_map(|u| super::drive::full_torque(model, u))
         .reduce(f64::max)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A column of a threshold five times over is of another threshold.
+    #[test]
+    fn a_whole_is_there_about_once() {
+        let scales = Scales {
+            force: 8.0,
+            speed: 1.0,
+            travel: 1.0,
+            acceleration: 1.0,
+            length: 0.3,
+            mass: 0.5,
+            slide: false,
+        };
+        let cut = Parameter {
+            name: "cut",
+            dimension: Dimension::Share,
+            role: Role::Threshold(&[0.5]),
+            sign: Sign::Positive,
+            low: 0.1,
+            high: 0.98,
+        };
+        assert!(cut.makes_sense(1.1, &scales));
+        assert!(!cut.makes_sense(5.08, &scales) && !cut.makes_sense(-1.0, &scales));
+        let time = Parameter::amplitude("time", Dimension::Time, [5e-4, 0.02]);
+        assert!(time.makes_sense(0.08, &scales));
+        assert!(!time.makes_sense(0.081, &scales) && !time.makes_sense(-0.01, &scales));
+        assert!(time.signed().makes_sense(-0.08, &scales));
+    }
+}
