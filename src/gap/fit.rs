@@ -290,15 +290,10 @@ impl Windows {
             right -= row.parameters.tr_mul(&r);
         }
         let gradient = -right.clone();
-        let mut with_priors = normal.clone();
-        add_priors(parameters, x, &mut with_priors, &mut right);
-        let (low, high): (Vec<f64>, Vec<f64>) = parameters.reach(x).unzip();
-        let dx = solve_in_box(&with_priors, &right, &low, &high);
-        let change = DVector::from_column_slice(&dx);
-        let to: Vec<f64> = x.iter().zip(&dx).map(|(x, d)| x + d).collect();
-        let far = change.dot(&(normal * &change));
+        let (dx, to) = solved(parameters, x, normal, right, &[]);
+        let far = dx.dot(&(normal * &dx));
         let mut fall = parameters.prior_cost(x) - parameters.prior_cost(&to);
-        fall -= gradient.dot(&change) + 0.5 * far;
+        fall -= gradient.dot(&dx) + 0.5 * far;
         for (row, along) in linear.rows.iter().zip(&along) {
             let rest = along + &row.triangle * damped(&row.triangle, along, RIDGE);
             fall += 0.5 * (along.norm_squared() - rest.norm_squared());
@@ -322,7 +317,7 @@ impl Followed {
 
 /// A step by the linearised problem.
 struct Step {
-    dx: Vec<f64>,
+    dx: DVector<f64>,
     /// Qᵀ r of every window
     along: Vec<DVector<f64>>,
     /// of the cost
@@ -339,7 +334,7 @@ impl Step {
 
     /// ds of every window with a part of dx.
     fn changes(&self, linear: &Linear, part: f64) -> Vec<DVector<f64>> {
-        let change = part * DVector::from_column_slice(&self.dx);
+        let change = part * &self.dx;
         let each = linear.rows.iter().zip(&self.along);
         each.map(|(row, along)| {
             row.change(damped(
@@ -369,8 +364,27 @@ pub(super) fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
     normal
 }
 
+/// dx of the parameters within their bounds, and where it leads; those `at_rest` stay. `normal` is Σ J̃ᵀJ̃, `right` −Σ J̃ᵀ r̃.
+pub(super) fn solved(
+    parameters: &Parameters,
+    x: &[f64],
+    normal: &DMatrix<f64>,
+    mut right: DVector<f64>,
+    at_rest: &[usize],
+) -> (DVector<f64>, Vec<f64>) {
+    let mut with_priors = normal.clone();
+    add_priors(parameters, x, &mut with_priors, &mut right);
+    let (mut low, mut high): (Vec<f64>, Vec<f64>) = parameters.reach(x).unzip();
+    for &j in at_rest {
+        (low[j], high[j]) = (0.0, 0.0);
+    }
+    let dx = DVector::from_vec(solve_in_box(&with_priors, &right, &low, &high));
+    let to = x.iter().zip(&dx).map(|(x, d)| x + d).collect();
+    (dx, to)
+}
+
 /// Adds priors and a ridge.
-pub(super) fn add_priors(
+fn add_priors(
     parameters: &Parameters,
     x: &[f64],
     normal: &mut DMatrix<f64>,

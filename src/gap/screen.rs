@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::GapError;
 use super::absorb::Absorb;
 use super::effect::{self, Effect, ModelFile, Place, Role, Sign};
+use super::fit::information;
 use super::linear::{Column, Linear};
 use super::model::{Built, Measured, Variant, variants};
 use super::pulse::{self, Pulses};
@@ -34,6 +35,7 @@ const AGAIN: usize = 16;
 const LEAST_AGAIN: f64 = 0.02;
 /// Part of a response that a channel must show to count.
 const SHOWN: f64 = 0.1;
+
 /// An effect at a place, with what it would explain.
 #[derive(Debug, Clone)]
 pub(super) struct Candidate {
@@ -99,7 +101,7 @@ impl Look<'_> {
             .into_iter()
             .filter(|(e, p)| self.may_act(*e, p))
             .collect();
-        let normal = information(&linear, &prior);
+        let normal = with_priors(&linear, &prior);
         let absorb = Absorb::new(&normal.0, parameters, self.x);
         let at = (&linear, &absorb);
         let mut pulses: BTreeMap<usize, Pulses> = BTreeMap::new();
@@ -437,11 +439,10 @@ pub(super) fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
 }
 
 /// Σ J̃ᵀJ̃ of the parameters with their priors, and the gradient of the cost.
-fn information(linear: &Linear, prior: &[(f64, f64)]) -> (DMatrix<f64>, DVector<f64>) {
+fn with_priors(linear: &Linear, prior: &[(f64, f64)]) -> (DMatrix<f64>, DVector<f64>) {
     let np = prior.len();
-    let (mut normal, mut gradient) = (DMatrix::zeros(np, np), DVector::zeros(np));
+    let (mut normal, mut gradient) = (information(linear, np), DVector::zeros(np));
     for row in &linear.rows {
-        normal.gemm_tr(1.0, &row.parameters, &row.parameters, 1.0);
         gradient.gemv_tr(1.0, &row.parameters, &row.residual, 1.0);
     }
     for (j, (precision, own)) in prior.iter().enumerate() {

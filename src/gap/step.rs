@@ -14,12 +14,11 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::coarse;
-use super::fit::{add_priors, information};
+use super::fit::{information, solved};
 use super::linear::Linear;
 use super::score::Normal;
 use super::windows::Windows;
 use crate::sysid::SysidError;
-use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::simulate::Pool;
 
@@ -79,17 +78,11 @@ impl Windows {
         residuals: Vec<DVector<f64>>,
     ) -> f64 {
         let parameters = &self.problem.parameters;
-        let (mut normal, mut right) = (normal.clone(), DVector::zeros(x.len()));
+        let mut right = DVector::zeros(x.len());
         for (row, residual) in linear.rows.iter().zip(&residuals) {
             right.gemv_tr(-1.0, &row.parameters, residual, 1.0);
         }
-        add_priors(parameters, x, &mut normal, &mut right);
-        let (mut low, mut high): (Vec<f64>, Vec<f64>) = parameters.reach(x).unzip();
-        for &j in at_rest {
-            (low[j], high[j]) = (0.0, 0.0);
-        }
-        let dx = DVector::from_vec(solve_in_box(&normal, &right, &low, &high));
-        let to: Vec<f64> = x.iter().zip(dx.iter()).map(|(x, d)| x + d).collect();
+        let (dx, to) = solved(parameters, x, normal, right, at_rest);
         let each = linear.rows.iter().zip(residuals);
         let squares = each.map(|(row, residual)| (residual + &row.parameters * &dx).norm_squared());
         0.5 * squares.sum::<f64>() + parameters.prior_cost(&to)
