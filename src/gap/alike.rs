@@ -20,11 +20,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::effect::{Place, named};
-use super::model::Chosen;
+use super::model::{Built, Chosen};
 use super::name::APART;
 use super::result::Where;
 use super::screen::Candidate;
 use super::search::{Fitted, ITERATIONS, Search};
+use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 
 /// Fall of the cost that a number more has to bring, to be the better of two.
@@ -77,7 +78,7 @@ pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError
     }
     let mut both = with.clone();
     for (fit, own) in fits.iter().zip(&mut both) {
-        let Some(change) = fit.windows.cost_of_steps(&fit.x, &fit.shapes())? else {
+        let Some(change) = cost_of_steps(&fit.windows, &fit.built, &fit.chosen, &fit.x)? else {
             return Ok((with, WITH));
         };
         own[WITHOUT] += change;
@@ -85,6 +86,17 @@ pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError
     let least = |k: usize| both.iter().map(|c| c[k]).fold(f64::INFINITY, f64::min);
     let clearly = least(WITHOUT) < CLEARLY * least(WITH);
     Ok((both, if clearly { WITHOUT } else { WITH }))
+}
+
+/// What C is more without steps than with them, shapes held.
+fn cost_of_steps(
+    windows: &Windows,
+    built: &Built,
+    chosen: &[Chosen],
+    x: &[f64],
+) -> Result<Option<f64>, GapError> {
+    let shapes: Vec<usize> = (built.shapes(&windows.problem, chosen).map(|s| s.0)).collect();
+    Ok(windows.cost_of_steps(x, &shapes)?)
 }
 
 /// d² of a rival from what is chosen, which leaves `left`: the smaller of that with steps and that without.
@@ -141,7 +153,10 @@ impl Search<'_> {
             return Ok(());
         }
         watch.stage(Stage::Refit);
-        let present = self.present();
+        if self.evidence.iter().all(|e| e.alike.is_empty()) {
+            return Ok(());
+        }
+        let own_steps = cost_of_steps(&self.windows, &self.built, &self.chosen, &self.x)?;
         for i in 0..self.evidence.len() {
             let mut left = Vec::new();
             for rival in std::mem::take(&mut self.evidence[i].alike) {
@@ -160,9 +175,14 @@ impl Search<'_> {
                 let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
                     continue;
                 };
-                let (costs, _) = costs(&[&present, &fitted])?;
-                let own = (&costs[0], &self.x[..]);
-                let separation = separation((&costs[1], &fitted.x), own, self.cost);
+                let (mut own, mut costs) = ([self.cost; 2], [fitted.cost; 2]);
+                let steps =
+                    cost_of_steps(&fitted.windows, &fitted.built, &fitted.chosen, &fitted.x)?;
+                if let (Some(own_change), Some(change)) = (own_steps, steps) {
+                    own[WITHOUT] += own_change;
+                    costs[WITHOUT] += change;
+                }
+                let separation = separation((&costs, &fitted.x), (&own, &self.x), self.cost);
                 if separation < APART {
                     left.push(Rival {
                         separation,

@@ -105,6 +105,18 @@ impl Built {
         any.then_some(held)
     }
 
+    /// Free parameters that are shapes, and the effect that each is of.
+    pub(super) fn shapes<'a>(
+        &'a self,
+        problem: &Problem,
+        chosen: &'a [Chosen],
+    ) -> impl Iterator<Item = (usize, usize)> + 'a {
+        let role = |i: usize, p: usize| chosen[i].effect.about().parameters[p].role;
+        let free = self.free(problem).into_iter();
+        let shapes = free.filter(move |f| matches!(role(f.1, f.2), Role::Shape(_)));
+        shapes.map(|f| (f.0, f.1))
+    }
+
     /// Index of each estimated number among all parameters of the problem.
     fn first(&self, problem: &Problem) -> usize {
         problem.parameters.all.len() - self.estimated.len()

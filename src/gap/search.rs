@@ -12,7 +12,7 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 use super::alike::Rival;
-use super::effect::{ModelFile, Place, Role};
+use super::effect::{ModelFile, Place};
 use super::fit;
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
@@ -243,8 +243,8 @@ impl<'a> Search<'a> {
         let parameters = self.chosen[effect].effect.about().parameters;
         let free = self.built.free(&self.windows.problem);
         let own = || free.iter().filter(|f| f.1 == effect);
-        let shape = |p: usize| matches!(parameters[p].role, Role::Shape(_));
-        let held: Vec<usize> = own().filter(|f| shape(f.2)).map(|f| f.0).collect();
+        let shapes = (self.built).shapes(&self.windows.problem, &self.chosen);
+        let held: Vec<usize> = (shapes.filter(|s| s.1 == effect)).map(|s| s.0).collect();
         let normal = normal.holding(&held);
         let sizes = own().filter(|f| parameters[f.2].is_size());
         sizes
@@ -313,18 +313,6 @@ impl<'a> Search<'a> {
         }))
     }
 
-    /// The present model.
-    pub(super) fn present(&self) -> Fitted {
-        Fitted {
-            chosen: self.chosen.clone(),
-            written: self.written.clone(),
-            built: self.built.clone(),
-            x: self.x.clone(),
-            cost: self.cost,
-            windows: self.windows.clone(),
-        }
-    }
-
     /// Makes a fitted model the present one.
     pub(super) fn take(&mut self, fitted: Fitted) {
         (self.chosen, self.written) = (fitted.chosen, fitted.written);
@@ -370,14 +358,6 @@ pub(super) struct Fitted {
 }
 
 impl Fitted {
-    /// Free parameters that are shapes of effects.
-    pub(super) fn shapes(&self) -> Vec<usize> {
-        let free = self.built.free(&self.windows.problem);
-        let role = |i: usize, p: usize| self.chosen[i].effect.about().parameters[p].role;
-        let shapes = (free.into_iter()).filter(|f| matches!(role(f.1, f.2), Role::Shape(_)));
-        shapes.map(|f| f.0).collect()
-    }
-
     /// Goes on with the fit.
     ///
     /// # Errors
