@@ -107,13 +107,17 @@ impl Transmission {
 mod tests {
     use super::*;
 
-    fn settled(effect: Effect, amount: f64) -> (Transmission, f64) {
-        let bound = Bound {
+    fn bound(effect: Effect, amount: f64) -> Bound {
+        Bound {
             effect,
             elements: vec![0],
             partner: None,
             values: vec![amount],
-        };
+        }
+    }
+
+    fn settled(effect: Effect, amount: f64) -> (Transmission, f64) {
+        let bound = bound(effect, amount);
         let axis = Axis::of_motor(1e-5);
         let mut transmission = Transmission::new(&[&bound], &axis, 5e-5).expect("a rotor");
         let mut passed = 0.0;
@@ -137,12 +141,6 @@ mod tests {
     /// Its stretch was 2e-4 rad/(N m) whatever the motor, as much as the play of a strong one.
     #[test]
     fn play_alone_does_not_stretch() {
-        let bound = |effect, amount| Bound {
-            effect,
-            elements: vec![0],
-            partner: None,
-            values: vec![amount],
-        };
         let mut axis = Axis::of_motor(0.01);
         axis.ctrl_range = Some([-8.0, 5.0]);
         let play = bound(Effect::Backlash, 0.002);
