@@ -7,7 +7,8 @@
 //! d² = t² (1 − ρ²)        class of k: every j with d² < 9        P(k) = (1 − p) / (1 + Σⱼ e^(−dⱼ²/2))
 //! ```
 //!
-//! in units of the noise that the recordings show ([`super::score`]).
+//! in units of the noise that the recordings show ([`super::score`]), the shapes of k held: where on a body a payload sits
+//! may be anybody's guess though something is plainly there, and then nothing would be told from it.
 
 use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
@@ -15,7 +16,7 @@ use super::model::Chosen;
 use super::result::{Experiment, Named, Untestable, Value, Where};
 use super::score::Normal;
 use super::screen::{Candidate, Screen};
-use super::search::{Evidence, Search};
+use super::search::{Evidence, Search, Size};
 use super::untestable::UNSHOWN;
 use crate::sysid::SysidError;
 use crate::sysid::student::two_sided_t;
@@ -42,17 +43,12 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
             .measured
             .scales(&search.built.file.model, &chosen.place);
         let mut parameters = Vec::new();
-        let mut surest: Option<(f64, usize)> = None; // t, index among the free
         for (p, parameter) in about.parameters.iter().enumerate() {
             let value = chosen.values[p];
             let number = free.iter().find(|f| f.1 == i && f.2 == p);
             let ci95 = number.map(|(j, _, _, slope)| {
                 let (sigma, dof) = screen.normal.fitted(*j);
                 let sigma = sigma * slope.abs();
-                let t = value / sigma;
-                if parameter.is_size() && surest.is_none_or(|s| t.abs() > s.0) {
-                    surest = Some((t.abs(), *j));
-                }
                 let by_step = step.as_ref().map_or(0.0, |dx| (dx[*j] * slope).abs());
                 let half = two_sided_t(0.95, dof.max(1.0)) * sigma + by_step;
                 let [least, most] = match (parameter.role, parameter.sign) {
@@ -74,9 +70,11 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
             });
         }
         let mut others: Vec<Where> = search.evidence[i].alike.iter().map(Rival::said).collect();
-        if let Some((t, j)) = surest {
+        let (normal, sizes) = search.sizes(&screen.normal, i);
+        let t = |size: &Size| size.x.abs() / normal.fitted(size.at).0;
+        if let Some(surest) = (sizes.iter()).max_by(|a, b| t(a).total_cmp(&t(b))) {
             for c in &screen.candidates {
-                let Some(d2) = separation(search, &screen.normal, c, t, j) else {
+                let Some(d2) = separation(search, &normal, c, (surest, t(surest))) else {
                     continue;
                 };
                 let own = Where::of(c.effect, &c.place, d2);
@@ -127,25 +125,21 @@ pub(super) fn called(
     }
 }
 
-/// How far a candidate is from an effect in the model, whose surest number is free parameter `j` with `t`; none if it
-/// could not take its place.
+/// How far a candidate is from an effect in the model, whose surest size is this, with `t`; none if it could not take its
+/// place.
 fn separation(
     search: &Search<'_>,
     normal: &Normal,
     candidate: &Candidate,
-    t: f64,
-    j: usize,
+    (size, t): (&Size, f64),
 ) -> Option<f64> {
-    let (likeness, instead) = normal.likeness(j, &candidate.columns);
-    let free = search.built.free(&search.windows.problem);
-    let (_, effect, parameter, slope) = free.iter().find(|f| f.0 == j)?;
-    let change = search.chosen[*effect].values[*parameter] / slope;
+    let (likeness, instead) = normal.likeness(size.at, &candidate.columns);
     let scales = search
         .measured
         .scales(&search.built.file.model, &candidate.place);
     let parameters = candidate.effect.about().parameters;
     for (&i, per_one) in candidate.parameters.iter().zip(&instead) {
-        let (p, value) = (&parameters[i], per_one * change);
+        let (p, value) = (&parameters[i], per_one * size.x);
         if p.is_whole() {
             continue;
         }

@@ -240,22 +240,34 @@ impl<'a> Search<'a> {
         effect: usize,
         step: Option<&DVector<f64>>,
     ) -> Vec<(f64, f64)> {
-        let parameters = self.chosen[effect].effect.about().parameters;
-        let free = self.built.free(&self.windows.problem);
-        let own = || free.iter().filter(|f| f.1 == effect);
-        let shapes = (self.built).shapes(&self.windows.problem, &self.chosen);
+        let (normal, sizes) = self.sizes(normal, effect);
+        let each = sizes.iter().map(|size| {
+            let (sigma, dof) = normal.fitted(size.at);
+            let by_step = step.map_or(0.0, |dx| dx[size.free].abs());
+            ((size.x.abs() - by_step).max(0.0) / sigma, dof)
+        });
+        each.collect()
+    }
+
+    /// `normal` with the shapes of an effect held, and the sizes of it.
+    pub(super) fn sizes(
+        &self,
+        normal: &score::Normal,
+        effect: usize,
+    ) -> (score::Normal, Vec<Size>) {
+        let problem = &self.windows.problem;
+        let shapes = self.built.shapes(problem, &self.chosen);
         let held: Vec<usize> = (shapes.filter(|s| s.1 == effect)).map(|s| s.0).collect();
-        let normal = normal.holding(&held);
-        let sizes = own().filter(|f| parameters[f.2].is_size());
-        sizes
-            .map(|(j, i, p, slope)| {
-                let before = held.iter().filter(|h| *h < j).count();
-                let (sigma, dof) = normal.fitted(j - before);
-                let x = self.chosen[*i].values[*p] / slope;
-                let by_step = step.map_or(0.0, |dx| dx[*j].abs());
-                ((x.abs() - by_step).max(0.0) / sigma, dof)
-            })
-            .collect()
+        let chosen = &self.chosen[effect];
+        let parameters = chosen.effect.about().parameters;
+        let free = self.built.free(problem).into_iter();
+        let own = free.filter(|f| f.1 == effect && parameters[f.2].is_size());
+        let sizes = own.map(|(free, _, p, slope)| Size {
+            free,
+            at: free - held.iter().filter(|h| **h < free).count(),
+            x: chosen.values[p] / slope,
+        });
+        (normal.holding(&held), sizes.collect())
     }
 
     /// The model with these effects, fitted; nothing if it cannot be. Shapes of those that are not in the present model
@@ -343,6 +355,16 @@ fn sound(fit: Result<fit::Fitted, SysidError>) -> Result<Option<fit::Fitted>, Ga
 pub(super) fn doubt(sureness: &[(f64, f64)]) -> f64 {
     let each = sureness.iter().map(|(t, dof)| score::two_sided(*t, *dof));
     each.reduce(f64::min).unwrap_or(0.0)
+}
+
+/// A size of an effect in the model.
+pub(super) struct Size {
+    /// among the free parameters
+    pub free: usize,
+    /// among them, the shapes of the effect left out
+    pub at: usize,
+    /// how far it is from 0
+    pub x: f64,
 }
 
 /// A model with effects, fitted.
