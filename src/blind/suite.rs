@@ -22,7 +22,7 @@ pub struct SuiteConfig {
     pub train: Vec<TrialConfig>,
     /// recordings to verify with
     pub holdout: Vec<TrialConfig>,
-    /// most effects a search may name; by default 4
+    /// most effects a search may name, the same at several places counted once; by default 4
     #[serde(default = "four")]
     pub max_effects: usize,
     /// most windows of a search; by default that of `phantom gap`

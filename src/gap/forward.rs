@@ -33,7 +33,7 @@ const NEAR: f64 = 0.2;
 const FEW_ITERATIONS: usize = 3;
 const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
-const OF_USE: f64 = 0.05;
+pub(super) const OF_USE: f64 = 0.05;
 /// Part of the cost, and of that of the held-out recordings, that a small effect takes off them at least.
 const MUCH: f64 = 0.2;
 /// Part of the least size that fitted parameters do not explain.
@@ -76,7 +76,7 @@ impl Search<'_> {
     }
 
     /// Cost that the noise of the sensors does not explain.
-    fn unexplained(&self, screen: &Screen) -> f64 {
+    pub(super) fn unexplained(&self, screen: &Screen) -> f64 {
         let rows = screen.linear.rows.iter().flat_map(|row| &row.channel);
         let noise: f64 = rows.map(|&c| 0.5 * self.noise_square(c)).sum();
         let cost = screen.normal.cost();
@@ -101,11 +101,7 @@ impl Search<'_> {
         let mut fitted: Vec<(Fitted, &Candidate)> = Vec::new();
         for c in rivals {
             let mut chosen = self.chosen.clone();
-            chosen.push(Chosen {
-                effect: c.effect,
-                place: c.place.clone(),
-                values: c.values.clone(),
-            });
+            chosen.push(c.chosen());
             if let Some(own) = self.fitted(&chosen, FEW_ITERATIONS, watch)? {
                 fitted.push((own, c));
             }
@@ -158,7 +154,8 @@ impl Search<'_> {
             let mut then = self.clone();
             then.take(own.clone());
             then.settle(watch)?;
-            let mut evidence = then.evidence(of.candidate, tests(screen), gain)?;
+            let mut evidence =
+                then.evidence(self.chosen.len(), of.candidate, tests(screen), gain)?;
             if let (Some(before), Some(held)) = (&held_before, &held)
                 && evidence.p_value <= LIKELY_STILL
             {
@@ -189,12 +186,18 @@ impl Search<'_> {
         near.map(|f| f.0).take(RIVALS).collect()
     }
 
-    /// What speaks for `c`, the effect added last, of the model as it is fitted now.
-    fn evidence(&self, c: &Candidate, tests: usize, gain: f64) -> Result<Evidence, GapError> {
-        let (last, linear) = (self.chosen.len() - 1, self.windows.linearise(&self.x)?);
+    /// What speaks for `c`, which is effect `own` of the model as it is fitted now.
+    pub(super) fn evidence(
+        &self,
+        own: usize,
+        c: &Candidate,
+        tests: usize,
+        gain: f64,
+    ) -> Result<Evidence, GapError> {
+        let linear = self.windows.linearise(&self.x)?;
         let normal = self.normal(&linear);
         let step = self.windows.step_error(&self.x, &linear, &normal)?;
-        let sizes = self.sureness(&normal, last, step.as_ref());
+        let sizes = self.sureness(&normal, own, step.as_ref());
         let p = match (&sizes[..], &c.score) {
             ([], Some(score)) => score.p_value,
             // as many chances as sizes, and shapes tried
@@ -203,9 +206,9 @@ impl Search<'_> {
         let mut response: Vec<DVector<f64>> = (linear.rows.iter())
             .map(|row| DVector::zeros(row.residual.len()))
             .collect();
-        let parameters = self.chosen[last].effect.about().parameters;
+        let parameters = self.chosen[own].effect.about().parameters;
         for (j, i, p, slope) in self.built.free(&self.windows.problem) {
-            if i == last && parameters[p].is_size() {
+            if i == own && parameters[p].is_size() {
                 let change = self.chosen[i].values[p] / slope;
                 for (sum, row) in response.iter_mut().zip(&linear.rows) {
                     sum.axpy(change, &row.parameters.column(j), 1.0);

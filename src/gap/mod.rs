@@ -16,6 +16,7 @@ mod absorb;
 mod alike;
 mod coarse;
 pub mod effect;
+mod elsewhere;
 pub mod figures;
 mod fit;
 mod forward;

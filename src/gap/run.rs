@@ -43,7 +43,7 @@ pub struct Input<'a> {
 /// How to look.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// most effects
+    /// most effects, the same at several places counted once
     pub max_effects: usize,
     /// of draws
     pub seed: u64,
@@ -79,7 +79,7 @@ pub struct Outcome {
     pub model: String,
     /// text of the base model with the effects alone: its own numbers are as they were
     pub extended: String,
-    /// numbers of the effects in both, as parameters of [`crate::sysid`] that begin where they are
+    /// what is estimated of both by [`crate::sysid`], numbers of the effects beginning where they are
     pub rules: Vec<ParameterRule>,
     /// the model before and after, with fitted numbers
     pub machines: [Arc<crate::mujoco::Model>; 2],
@@ -198,6 +198,7 @@ pub(super) fn at_length(
             let more = search.forward(&present, watch)?;
             if more {
                 search.delete(watch)?;
+                screen = search.elsewhere(watch)?;
             } else {
                 screen = Some(present);
             }

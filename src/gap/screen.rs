@@ -13,7 +13,7 @@ use super::absorb::Absorb;
 use super::effect::{self, Effect, ModelFile, Place, Role, Sign};
 use super::fit::information;
 use super::linear::{Column, Linear};
-use super::model::{Built, Measured, Variant, variants};
+use super::model::{Built, Chosen, Measured, Variant, variants};
 use super::pulse::{self, Pulses};
 use super::score::{Normal, Score};
 use super::together::Ask;
@@ -53,6 +53,17 @@ pub(super) struct Candidate {
     pub size: Option<f64>,
     /// whether the expected values make sense
     pub sensible: bool,
+}
+
+impl Candidate {
+    /// As it is expected.
+    pub(super) fn chosen(&self) -> Chosen {
+        Chosen {
+            effect: self.effect,
+            place: self.place.clone(),
+            values: self.values.clone(),
+        }
+    }
 }
 
 /// The table of all candidates.

@@ -86,7 +86,7 @@ struct SearchArgs {
     /// How held-out recordings are compared, as in `phantom compare` (TOML); with `[drop]` whole rollouts are searched
     #[arg(long, value_name = "FILE.toml")]
     protocol: Option<PathBuf>,
-    /// Most effects
+    /// Most effects; the same at several places is one
     #[arg(long, value_name = "N", default_value = "4", value_parser = count)]
     max_effects: usize,
     /// Look for these effects only [default: all of the catalogue]

@@ -1,0 +1,118 @@
+//! The same effect elsewhere: an arm whose elbow has dry friction has it in the other joints too.
+//!
+//! Of the candidates that one screen finds worth a place in the model, the one is picked again and again that explains most
+//! beside those picked before, all columns as the screen has them:
+//!
+//! ```text
+//! next = argmax held_gain(picked ∪ c) − held_gain(picked)
+//! ```
+//!
+//! While that is the effect that was found last, at another place, it is more of the same. All are then fitted in one step,
+//! and judged one by one as any other effect ([`super::forward`]); what does not stand is left out. What was found at
+//! several places is one effect in the count of those that are looked for.
+
+use super::forward::{OF_USE, tests};
+use super::model::Chosen;
+use super::screen::{Candidate, Screen};
+use super::search::{Evidence, ITERATIONS, Search};
+use super::{GapError, Stage, Watch};
+
+impl Search<'_> {
+    /// Adds the effect found last at other places that ask for it. What comes back is the screen of the present model, where
+    /// one was made.
+    ///
+    /// # Errors
+    /// The engine refuses a number; [`GapError::Stopped`].
+    pub(super) fn elsewhere(&mut self, watch: &mut Watch<'_>) -> Result<Option<Screen>, GapError> {
+        let Some(found) = self.chosen.last() else {
+            return Ok(None);
+        };
+        let effect = found.effect;
+        if effect.places(&self.base.model).len() < 2 {
+            return Ok(None);
+        }
+        let screen = self.screen(watch)?.ok_or(GapError::Stopped)?;
+        let mut more = self.more(&screen, effect.about().name);
+        watch.stage(Stage::Refit);
+        while !more.is_empty() {
+            let Some((then, evidence)) = self.with_all(&more, &screen, watch)? else {
+                break;
+            };
+            let stands: Vec<bool> = evidence.iter().map(|e| self.stands(e)).collect();
+            if stands.iter().all(|s| *s) {
+                *self = then;
+                self.evidence.extend(evidence);
+                return Ok(None);
+            }
+            let both = more.into_iter().zip(stands);
+            more = both.filter_map(|(c, stands)| stands.then_some(c)).collect();
+        }
+        Ok(Some(screen))
+    }
+
+    /// Candidates that are more of `name`.
+    fn more<'s>(&self, screen: &'s Screen, name: &str) -> Vec<&'s Candidate> {
+        let mut left = self.worthy(screen);
+        let least = self.limits.gain * self.unexplained(screen);
+        let (mut picked, mut columns) = (Vec::new(), Vec::new());
+        let (mut gain, mut held_gain) = (0.0, 0.0);
+        loop {
+            let scores = left.iter().enumerate().filter_map(|(i, c)| {
+                let score = (screen.normal).score(&[&columns[..], &c.columns].concat())?;
+                (score.gain - gain >= least).then_some((i, score))
+            });
+            let best = scores.max_by(|a, b| a.1.held_gain.total_cmp(&b.1.held_gain));
+            let Some((i, score)) = best.filter(|b| b.1.held_gain > held_gain) else {
+                break;
+            };
+            let next = left.remove(i);
+            if next.effect.about().name != name {
+                break;
+            }
+            (gain, held_gain) = (score.gain, score.held_gain);
+            columns.extend(&next.columns);
+            picked.push(next);
+        }
+        picked
+    }
+
+    /// With all of these, and what speaks for each; nothing where they cannot be fitted, or are of no use.
+    fn with_all(
+        &self,
+        more: &[&Candidate],
+        screen: &Screen,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<(Self, Vec<Evidence>)>, GapError> {
+        let mut chosen = self.chosen.clone();
+        chosen.extend(more.iter().map(|c| c.chosen()));
+        let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
+            return Ok(None);
+        };
+        let scales = |c: &Chosen| self.measured.scales(&fitted.built.file.model, &c.place);
+        if fitted.chosen.iter().any(|c| c.absurd(&scales(c))) {
+            return Ok(None);
+        }
+        if let Some(before) = self.held(&self.built, &self.windows, &self.x)? {
+            let after = self.held(&fitted.built, &fitted.windows, &fitted.x)?;
+            if after.is_none_or(|after| after.cost >= (1.0 - OF_USE) * before.cost) {
+                return Ok(None);
+            }
+        }
+        let mut then = self.clone();
+        then.take(fitted);
+        then.settle(watch)?;
+        let first = self.chosen.len();
+        let each = (more.iter().enumerate()).map(|(k, c)| {
+            let gain = c.score.as_ref().map_or(0.0, |s| s.gain) / self.cost;
+            then.evidence(first + k, c, tests(screen), gain)
+        });
+        let evidence = each.collect::<Result<Vec<_>, _>>()?;
+        Ok(Some((then, evidence)))
+    }
+
+    /// Whether an effect is significant and large.
+    fn stands(&self, evidence: &Evidence) -> bool {
+        let large = evidence.size.is_none_or(|size| size >= self.limits.size);
+        evidence.p_value <= self.limits.family_p && large
+    }
+}
