@@ -13,6 +13,7 @@ use phantom::mujoco::Model;
 use phantom::rig::Rig;
 use phantom::run_dir;
 use phantom::sysid::parameter::ParameterRule;
+use phantom::sysid::problem::ProblemConfig;
 use serde_json::Value;
 
 /// The forearms of one finger are heavier than the model says.
@@ -180,10 +181,14 @@ fn physics_found_missing_is_estimated_and_found_once() {
         Found::Missing(Missing {
             model: extended.clone(),
             effects: vec!["joint_spring at p0_turret".to_owned()],
-            parameters: vec![ParameterRule {
-                prior_sigma: Some(1.0),
-                ..ParameterRule::new("joint/p0_turret", "stiffness")
-            }],
+            parameters: {
+                let own: ProblemConfig = toml::from_str(PARAMETERS).expect("parameters");
+                let stiffness = ParameterRule {
+                    prior_sigma: Some(1.0),
+                    ..ParameterRule::new("joint/p0_turret", "stiffness")
+                };
+                [own.parameter, vec![stiffness]].concat()
+            },
         })
     };
     assert!(run(&|| Found::Stopped, "stopped").is_none());

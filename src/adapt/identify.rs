@@ -61,7 +61,7 @@ pub struct Missing {
     pub model: PathBuf,
     /// what it is, in words
     pub effects: Vec<String>,
-    /// its numbers, to be estimated with the others
+    /// what is estimated of that, its numbers after the others
     pub parameters: Vec<ParameterRule>,
 }
 
@@ -126,9 +126,7 @@ pub(super) fn identify(
     let (file, mut parameters) = (&adaptation.model_path, adaptation.parameters.clone());
     let file = missing.map_or(file, |m| &m.model);
     if let Some(missing) = missing {
-        parameters
-            .parameter
-            .extend(missing.parameters.iter().cloned());
+        parameters.parameter.clone_from(&missing.parameters);
     }
     let model = Arc::new(load(file, config.identify_timestep_s)?);
     let problem = Problem::new(Arc::clone(&model), &parameters, recordings)?;

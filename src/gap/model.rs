@@ -1,5 +1,6 @@
 //! A model file with chosen effects, and what is estimated of both.
 
+use crate::mjcf::attribute;
 use crate::mujoco::ObjectKind;
 use crate::sysid::parameter::{ParameterRule, Parameters};
 use crate::sysid::problem::Problem;
@@ -70,7 +71,23 @@ impl Built {
                 built.estimated.push((i, e));
             }
         }
+        built.pass_over_added(base);
         Ok(built)
+    }
+
+    /// Globs of the base model's rules mean its own elements, not those of effects.
+    fn pass_over_added(&mut self, base: &ModelFile) {
+        let first = self.rules.len() - self.estimated.len();
+        for rule in &mut self.rules[..first] {
+            let kind = rule.element.split_once('/').map(|(kind, _)| kind);
+            let Some(kind) = kind.and_then(attribute::object_kind) else {
+                continue;
+            };
+            let model = &self.file.model;
+            let names = (0..model.count(kind)).filter_map(|id| model.name(kind, id));
+            let added = names.filter(|name| base.model.id(kind, name).is_err());
+            rule.except.extend(added.map(str::to_owned));
+        }
     }
 
     /// `problem` with this model and its parameters.

@@ -64,12 +64,12 @@ pub(super) fn repaired(
     Ok(text.map_err(EffectError::from)?)
 }
 
-/// Numbers of the effects as parameters of [`crate::sysid`] that begin where they are.
+/// What is estimated, numbers of the effects beginning where they are.
 pub(super) fn rules(built: &Built) -> Vec<ParameterRule> {
-    (built.estimated.iter())
-        .map(|(_, e)| ParameterRule {
-            start: None,
-            ..e.rule.clone()
-        })
-        .collect()
+    let mut rules = built.rules.clone();
+    let first = rules.len() - built.estimated.len();
+    for rule in &mut rules[first..] {
+        rule.start = None;
+    }
+    rules
 }

@@ -14,6 +14,9 @@ use crate::mujoco::{Model, ObjectKind};
 pub struct ParameterRule {
     /// `kind/glob`
     pub element: String,
+    /// globs of names that it passes over
+    #[serde(default)]
+    pub except: Vec<String>,
     /// attribute
     pub attribute: String,
     /// empty: all
@@ -50,6 +53,7 @@ impl ParameterRule {
     pub fn new(element: &str, attribute: &str) -> Self {
         Self {
             element: element.to_owned(),
+            except: Vec::new(),
             attribute: attribute.to_owned(),
             components: Vec::new(),
             tied: false,
@@ -72,6 +76,10 @@ pub(super) fn parameters(
 ) -> Result<Vec<Parameter>, SysidError> {
     let groups = match rule.element.split_once('/') {
         Some((kind @ ("channel" | "control"), pattern)) => {
+            if !rule.except.is_empty() {
+                let reason = "`except` is for elements of the model";
+                return Err(refuse(rule, reason.into()));
+            }
             instruments(model, rule, kind, pattern, channels)?
         }
         _ => model_groups(model, rule)?,
@@ -92,7 +100,11 @@ pub(super) fn refuse(rule: &ParameterRule, reason: String) -> SysidError {
 type Group = (String, Role, f64);
 
 fn model_groups(model: &Model, rule: &ParameterRule) -> Result<Vec<Group>, SysidError> {
-    let targets = attribute::resolve(model, &rule.element, &rule.attribute, &rule.components)?;
+    let mut targets = attribute::resolve(model, &rule.element, &rule.attribute, &rule.components)?;
+    targets.retain(|t| !rule.except.iter().any(|e| glob::matches(e, &t.element)));
+    if targets.is_empty() {
+        return Err(refuse(rule, "`except` leaves no element".into()));
+    }
     let with_value = |t: Target| {
         let value = t.value(model);
         (t, value)
@@ -259,4 +271,42 @@ fn parameter(
         frozen: rule.frozen,
         typical: if log { 1.0 } else { start.abs().max(typical) },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn globs_pass_over_what_they_except() {
+        let model = Model::from_xml_str(
+            r#"<mujoco><worldbody>
+              <body name="a"><joint name="ja" damping="1"/><geom size=".1"/>
+                <body name="load"><geom size=".1"/></body></body></worldbody></mujoco>"#,
+        )
+        .expect("loads");
+        let rule = |element: &str, attribute: &str, except: &str| ParameterRule {
+            except: vec![except.to_owned()],
+            ..ParameterRule::new(element, attribute)
+        };
+        let of = |rule: &ParameterRule| parameters(&model, rule, &["angle".to_owned()]);
+        let masses = of(&rule("body/*", "mass", "lo*")).expect("one");
+        let names: Vec<&str> = masses.iter().map(|p| p.name.as_str()).collect();
+        assert_eq!(names, ["body/a mass"]);
+        let tied = ParameterRule {
+            tied: true,
+            ..rule("body/*", "mass", "load")
+        };
+        let [Parameter { role, .. }] = &of(&tied).expect("one")[..] else {
+            panic!("one parameter");
+        };
+        assert!(matches!(role, Role::Model(targets) if targets.len() == 1));
+        for (element, attribute, said) in [
+            ("joint/*", "damping", "leaves no element"),
+            ("channel/*", "bias", "elements of the model"),
+        ] {
+            let refused = of(&rule(element, attribute, "*")).expect_err("nothing is meant");
+            assert!(refused.to_string().contains(said), "{refused}");
+        }
+    }
 }
