@@ -4,7 +4,7 @@
 //! the force at the joint, damping in parts of that force at the joint's speed, and so on.
 
 use super::{Place, PlaceKind};
-use crate::mjcf::attribute::dofs;
+use crate::mjcf::attribute::{dofs, norm};
 use crate::mujoco::{Model, ObjectKind};
 
 /// The part a parameter has in its effect.
@@ -290,7 +290,7 @@ const HINGE_TRAVEL: f64 = 1.0;
 const SLIDE_TRAVEL: f64 = 0.2;
 /// 1/s: travels in a second, and speeds reached in a second.
 const RATES: [f64; 2] = [1.0, 6.0];
-/// m: a hand's machine.
+/// m: a hand's machine. Larger bodies have their own.
 const LENGTH: f64 = 0.1;
 /// N and N m of sensors at fingertips.
 const READING: [f64; 2] = [1.0, 0.01];
@@ -323,11 +323,21 @@ impl Scales {
             speed,
             travel,
             acceleration,
-            length: LENGTH,
+            length: body.map_or(0.0, |b| reach(model, b)).max(LENGTH),
             mass,
             slide,
         }
     }
+}
+
+/// How far a body goes from its origin: to its centre of mass, the joints after it and the ends of its geoms, m.
+fn reach(model: &Model, body: usize) -> f64 {
+    let at = |of: &[f64], i: usize| norm(&of[3 * i..3 * i + 3]);
+    let bodies = (body + 1..model.nbody()).filter(|&b| model.body_parentid()[b] as usize == body);
+    let geoms = (0..model.ngeom()).filter(|&g| model.geom_bodyid()[g] as usize == body);
+    let joints = bodies.map(|b| at(model.body_pos(), b));
+    let ends = geoms.map(|g| at(model.geom_pos(), g) + model.geom_rbound()[g]);
+    (joints.chain(ends)).fold(at(model.body_ipos(), body), f64::max)
 }
 
 /// The greatest force that motors can give a joint.
