@@ -72,6 +72,14 @@ pub(crate) fn config(bodies: &str) -> ProblemConfig {
     .expect("a configuration")
 }
 
+/// How held-out recordings are compared.
+pub(crate) fn protocol() -> Settings {
+    Settings {
+        cutoff_hz: Some(30.0),
+        ..Settings::default()
+    }
+}
+
 /// What `model` lacks, its masses of `bodies` fitted.
 pub(crate) fn search(
     model: &ModelFile,
@@ -84,10 +92,7 @@ pub(crate) fn search(
         config: &config(bodies),
         train,
         holdout,
-        protocol: &Settings {
-            cutoff_hz: Some(30.0),
-            ..Settings::default()
-        },
+        protocol: &protocol(),
     };
     gap::run(&input, &Options::default(), &mut |_, _, _| true).unwrap_or_else(|e| panic!("{e}"))
 }
