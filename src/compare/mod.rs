@@ -16,6 +16,7 @@
 
 mod butterworth;
 mod closure;
+pub mod cutoff;
 mod differences;
 mod error;
 pub mod figures;

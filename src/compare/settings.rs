@@ -40,7 +40,7 @@ pub struct Settings {
     pub force_cutoff_hz: Option<f64>,
     /// compare forces at all
     pub forces: bool,
-    /// left out at both ends of the forces, s
+    /// left out at both ends of the forces, and before the first rollout, s
     pub skip_s: f64,
     /// use every so many-th sample of the forces
     pub decimate: usize,

@@ -47,13 +47,14 @@ pub fn starts(
     }
     let duration = states.time_s[states.len() - 1] - states.time_s[0];
     let every = settings.every_s.unwrap_or(duration / STARTS as f64);
-    let mut next = states.time_s[0];
+    let first = states.time_s[0] + settings.skip_s;
+    let mut next = first;
     let mut starts = Vec::new();
     // the last sample has nothing after it
     for k in 0..states.len() - 1 {
         if states.time_s[k] >= next - 1e-9 {
             starts.push(at(model, states, k));
-            next = states.time_s[0] + starts.len() as f64 * every;
+            next = first + starts.len() as f64 * every;
         }
     }
     Ok(Some(starts))

@@ -1,6 +1,5 @@
 //! Effects that are given instead of searched for: what a search could reach at best.
 
-use super::model::Chosen;
 use super::result::Gap;
 use super::run::{self, Input, Options};
 use super::search::ITERATIONS;
@@ -29,7 +28,7 @@ pub fn with_effects(
     report: Report<'_>,
 ) -> Result<Option<Oracle>, GapError> {
     let mut watch = Watch::new(report);
-    let (_, mut search) = run::begin(input, options, &mut super::stages::Nowhere, &mut watch)?;
+    let (whole, mut search) = run::begin(input, options, &mut super::stages::Nowhere, &mut watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let screen = search.screen(&mut watch)?.ok_or(GapError::Stopped)?;
     let mut chosen = Vec::new();
@@ -40,11 +39,7 @@ pub fn with_effects(
                 && c.score.is_some()
         });
         let Some(c) = found else { return Ok(None) };
-        chosen.push(Chosen {
-            effect: c.effect,
-            place: c.place.clone(),
-            values: c.values.clone(),
-        });
+        chosen.push(c.chosen());
     }
     let Some(fitted) = search.fitted(&chosen, ITERATIONS, &mut watch)? else {
         return Ok(None);
@@ -61,7 +56,7 @@ pub fn with_effects(
     let after = repair::machine(&search.windows.problem, &search.x)?;
     let sigma = |_: &str| None;
     let (holdout, seed) = (input.holdout, options.seed);
-    let protocol = verify::protocol(input.protocol, search.windows.length_s);
+    let protocol = verify::protocol(input, &whole, search.windows.length_s);
     let gap = verify::verify(&before, &after, holdout, &protocol, &sigma, seed)?;
     Ok(Some(Oracle {
         gap,

@@ -241,19 +241,12 @@ pub(super) fn at_length(
     };
     watch.stage(Stage::Verify);
     let after = repair::machine(&search.windows.problem, &search.x)?;
-    let sigma = |channel: &str| {
-        whole
-            .channels
-            .iter()
-            .find(|c| c.name == channel)
-            .map(|c| c.sigma)
-    };
     let gap = verify::verify(
         &before,
         &after,
         input.holdout,
-        &verify::protocol(input.protocol, search.windows.length_s),
-        &sigma,
+        &verify::protocol(input, &whole, search.windows.length_s),
+        &|channel| verify::noise(&whole, channel),
         options.seed,
     )?;
     let verdict = verdict(&effects, !rest.is_empty(), much || left::law(&rest));

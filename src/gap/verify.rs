@@ -10,17 +10,22 @@ use std::sync::Arc;
 
 use super::GapError;
 use super::result::{Channel, Gap, Holdout, Rollout};
+use super::run::Input;
+use crate::compare::cutoff::cutoff_hz;
 use crate::compare::{self, CompareError, Comparison, Settings};
 use crate::mujoco::Model;
 use crate::recording::{Kind, Recording};
 use crate::rng::{self, Purpose};
 use crate::sysid::instrument;
 use crate::sysid::parameter::Parameters;
+use crate::sysid::problem::Problem;
 
 /// A channel is worse from this factor on.
 const WORSE: f64 = 1.05;
 /// Errors below this part of the largest of their unit do not count as worse.
 const NEGLIGIBLE: f64 = 0.02;
+/// Part of the shortest recording that is left out at most at each end, where filtered states are not to be trusted.
+const ENDS: f64 = 0.1;
 /// Draws of noise for the floor.
 const DRAWS: u64 = 2;
 
@@ -31,17 +36,31 @@ pub(super) struct Machine {
     pub parameters: Parameters,
 }
 
-/// The protocol, with forces compared as far as windows of `window_s` resolve them where it does not say so: beyond that
-/// they are noise of differences.
-pub(super) fn protocol(settings: &Settings, window_s: f64) -> Settings {
-    let given = settings.cutoff_hz.or(settings.force_cutoff_hz);
-    let force_cutoff_hz = match given {
-        None => Some(2.0 / window_s),
-        Some(_) => settings.force_cutoff_hz,
-    };
+/// Standard deviation of the noise of a channel of `whole`.
+pub(super) fn noise(whole: &Problem, channel: &str) -> Option<f64> {
+    let found = whole.channels.iter().find(|c| c.name == channel);
+    found.map(|c| c.sigma)
+}
+
+/// The protocol. Where it says nothing of cutoffs, states are without the noise of the readings ([`cutoff_hz`]), and forces
+/// are compared as far as windows of `window_s` resolve them: beyond that they are noise of differences.
+pub(super) fn protocol(input: &Input<'_>, whole: &Problem, window_s: f64) -> Settings {
+    let settings = input.protocol.clone();
+    if settings.cutoff_hz.or(settings.force_cutoff_hz).is_some() {
+        return settings;
+    }
+    let recordings = || input.holdout.iter().map(|(_, r)| r);
+    let cutoff_hz = cutoff_hz(recordings(), &|channel| noise(whole, channel));
+    let streams = recordings()
+        .flat_map(|r| &r.streams)
+        .filter(|s| !s.is_empty());
+    let shortest = (streams.map(|s| s.time(s.len() - 1) - s.time(0))).fold(f64::INFINITY, f64::min);
+    let ends = cutoff_hz.map_or(0.0, |hz| (1.0 / hz).min(ENDS * shortest));
     Settings {
-        force_cutoff_hz,
-        ..settings.clone()
+        skip_s: settings.skip_s.max(ends),
+        cutoff_hz,
+        force_cutoff_hz: Some(2.0 / window_s),
+        ..settings
     }
 }
 

@@ -72,14 +72,6 @@ pub(crate) fn config(bodies: &str) -> ProblemConfig {
     .expect("a configuration")
 }
 
-/// How held-out recordings are compared.
-pub(crate) fn protocol() -> Settings {
-    Settings {
-        cutoff_hz: Some(30.0),
-        ..Settings::default()
-    }
-}
-
 /// What `model` lacks, its masses of `bodies` fitted.
 pub(crate) fn search(
     model: &ModelFile,
@@ -92,7 +84,10 @@ pub(crate) fn search(
         config: &config(bodies),
         train,
         holdout,
-        protocol: &protocol(),
+        protocol: &Settings {
+            cutoff_hz: Some(30.0),
+            ..Settings::default()
+        },
     };
     gap::run(&input, &Options::default(), &mut |_, _, _| true).unwrap_or_else(|e| panic!("{e}"))
 }
