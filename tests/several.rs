@@ -117,3 +117,29 @@ fn an_effect_of_uncertain_size_is_told_from_others() {
     assert!(held.after < 0.6 * held.before, "{held:?}");
     assert!(held.after < 2.0, "{held:?}");
 }
+
+#[test]
+fn a_model_of_long_steps_is_said_to_have_them() {
+    let machine = file(CART, ("MASS", "0.2"));
+    let text = machine
+        .xml
+        .replace("timestep=\"0.001\"", "timestep=\"0.01\"");
+    let base = ModelFile::of_text(text, "m.xml").unwrap_or_else(|e| panic!("{e}"));
+    let positions = [("x", "m", 0.1 * NOISE), ("angle", "rad", 0.1 * NOISE)];
+    let of = |base: &ModelFile| search((base, &machine), "*", positions, &[("push", 0.0)]);
+    let said = |answer: &Answer| {
+        answer
+            .gap
+            .notes
+            .iter()
+            .any(|n| n.starts_with("steps of 0.01 s"))
+    };
+    let long = of(&base);
+    assert!(said(&long), "{long:#?}");
+    let own = of(&machine);
+    assert_eq!(
+        (own.verdict, own.gap.notes.len()),
+        (Verdict::None, 0),
+        "{own:#?}"
+    );
+}

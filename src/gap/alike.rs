@@ -144,6 +144,16 @@ pub(super) fn rivals(tried: &[Tried<'_>], chosen: usize, cost: f64) -> Vec<Rival
 }
 
 impl Search<'_> {
+    /// Part of what is left that is the work of the model's own steps, where that is much.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn part_of_steps(&self) -> Result<Option<f64>, GapError> {
+        let change = cost_of_steps(&self.windows, &self.built, &self.chosen, &self.x)?;
+        let part = -change.unwrap_or(0.0) / self.cost;
+        Ok(Some(part.min(1.0)).filter(|part| *part > 1.0 - CLEARLY))
+    }
+
     /// Fits what was alike once more, beside all that was found since.
     ///
     /// # Errors

@@ -241,7 +241,7 @@ pub(super) fn at_length(
     };
     watch.stage(Stage::Verify);
     let after = repair::machine(&search.windows.problem, &search.x)?;
-    let gap = verify::verify(
+    let mut gap = verify::verify(
         &before,
         &after,
         input.holdout,
@@ -249,6 +249,13 @@ pub(super) fn at_length(
         &|channel| verify::noise(&whole, channel),
         options.seed,
     )?;
+    if let Some(part) = search.part_of_steps()? {
+        gap.notes.push(format!(
+            "steps of {} s make {:.0} % of what is left: a shorter timestep of the model would show more",
+            search.windows.problem.model.timestep(),
+            100.0 * part
+        ));
+    }
     let verdict = verdict(&effects, !rest.is_empty(), much || left::law(&rest));
     let next_experiment = name::next_experiment(&effects, &untestable);
     let (built, problem) = (&search.built, &search.windows.problem);
