@@ -7,9 +7,9 @@
 //! mean (q − q_f)² ≤ 1.5 σ² (1 − 2 f h)
 //! ```
 //!
-//! The lowest f for which this holds is taken, of several readings the highest (the discrepancy principle, Morozov 1966; the factor is for what is
-//! known of σ, and for motion that is lost in it).
-//! Without it states of a fast recording have velocities of noise: two samples apart it is σ/(√2 h).
+//! The lowest f for which this holds is taken, of several readings the highest (the discrepancy principle, Morozov 1966). The
+//! factor is for what is known of σ, and for motion that is lost in it. Unfiltered, states of a fast recording have
+//! velocities of noise: from two samples apart it is σ/(√2 h).
 
 use super::butterworth::low_pass;
 use crate::recording::{Kind, Recording, Stream};
@@ -42,11 +42,8 @@ pub fn cutoff_hz<'a>(
             let Some((values, interval)) = readings(stream, column) else {
                 continue;
             };
-            highest = Some(
-                highest
-                    .unwrap_or(0.0)
-                    .max(lowest(&values, sigma)? / interval),
-            );
+            let hz = lowest(&values, sigma)? / interval;
+            highest = Some(highest.map_or(hz, |most| hz.max(most)));
         }
     }
     highest
