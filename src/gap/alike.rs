@@ -25,8 +25,9 @@ use super::name::APART;
 use super::result::Where;
 use super::screen::Candidate;
 use super::search::{Fitted, ITERATIONS, Search};
-use super::windows::Windows;
+use super::step::WithoutSteps;
 use super::{GapError, Stage, Watch};
+use crate::sysid::problem::Problem;
 
 /// Fall of the cost that a number more has to bring, to be the better of two.
 const NUMBER: f64 = 2.0;
@@ -78,7 +79,7 @@ pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError
     }
     let mut both = with.clone();
     for (fit, own) in fits.iter().zip(&mut both) {
-        let Some(change) = cost_of_steps(&fit.windows, &fit.built, &fit.chosen, &fit.x)? else {
+        let Some(change) = fit.cost_without_steps()? else {
             return Ok((with, WITH));
         };
         own[WITHOUT] += change;
@@ -88,15 +89,25 @@ pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError
     Ok((both, if clearly { WITHOUT } else { WITH }))
 }
 
-/// What C is more without steps than with them, shapes held.
-fn cost_of_steps(
-    windows: &Windows,
-    built: &Built,
-    chosen: &[Chosen],
+impl Fitted {
+    /// As [`change`].
+    fn cost_without_steps(&self) -> Result<Option<f64>, GapError> {
+        let linear = self.windows.linearise(&self.x)?;
+        let without = self.windows.without_steps(&self.x, &linear)?;
+        let (problem, of) = (&self.windows.problem, (&self.built, &self.chosen[..]));
+        Ok(without.map(|own| change(&own, problem, of, &self.x)))
+    }
+}
+
+/// What C is more without steps than with them, shapes of effects held.
+fn change(
+    without: &WithoutSteps<'_>,
+    problem: &Problem,
+    (built, chosen): (&Built, &[Chosen]),
     x: &[f64],
-) -> Result<Option<f64>, GapError> {
-    let shapes: Vec<usize> = (built.shapes(&windows.problem, chosen).map(|s| s.0)).collect();
-    Ok(windows.cost_of_steps(x, &shapes)?)
+) -> f64 {
+    let shapes: Vec<usize> = built.shapes(problem, chosen).map(|s| s.0).collect();
+    without.cost(&problem.parameters, x, &shapes)
 }
 
 /// d² of a rival from what is chosen, which leaves `left`: the smaller of that with steps and that without.
@@ -144,29 +155,32 @@ pub(super) fn rivals(tried: &[Tried<'_>], chosen: usize, cost: f64) -> Vec<Rival
 }
 
 impl Search<'_> {
-    /// Part of what is left that is the work of the model's own steps, where that is much.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn part_of_steps(&self) -> Result<Option<f64>, GapError> {
-        let change = cost_of_steps(&self.windows, &self.built, &self.chosen, &self.x)?;
-        let part = -change.unwrap_or(0.0) / self.cost;
-        Ok(Some(part.min(1.0)).filter(|part| *part > 1.0 - CLEARLY))
+    /// What C is more without steps than with them, shapes of effects held.
+    pub(super) fn cost_without_steps(&self, without: &WithoutSteps<'_>) -> f64 {
+        let of = (&self.built, &self.chosen[..]);
+        change(without, &self.windows.problem, of, &self.x)
     }
 
-    /// Fits what was alike once more, beside all that was found since.
+    /// Part of what is left that is the work of the model's own steps, where that is much; `change` is what the cost is more
+    /// without them.
+    pub(super) fn part_of_steps(&self, change: f64) -> Option<f64> {
+        let part = (-change / self.cost).min(1.0);
+        (part > 1.0 - CLEARLY).then_some(part)
+    }
+
+    /// Fits what was alike once more, beside all that was found since; `own_steps` is what the cost is more without steps.
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn tell_apart(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
-        if self.chosen.len() < 2 {
+    pub(super) fn tell_apart(
+        &mut self,
+        own_steps: Option<f64>,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), GapError> {
+        if self.chosen.len() < 2 || self.evidence.iter().all(|e| e.alike.is_empty()) {
             return Ok(());
         }
         watch.stage(Stage::Refit);
-        if self.evidence.iter().all(|e| e.alike.is_empty()) {
-            return Ok(());
-        }
-        let own_steps = cost_of_steps(&self.windows, &self.built, &self.chosen, &self.x)?;
         for i in 0..self.evidence.len() {
             let mut left = Vec::new();
             for rival in std::mem::take(&mut self.evidence[i].alike) {
@@ -186,9 +200,8 @@ impl Search<'_> {
                     continue;
                 };
                 let (mut own, mut costs) = ([self.cost; 2], [fitted.cost; 2]);
-                let steps =
-                    cost_of_steps(&fitted.windows, &fitted.built, &fitted.chosen, &fitted.x)?;
-                if let (Some(own_change), Some(change)) = (own_steps, steps) {
+                if let (Some(own_change), Some(change)) = (own_steps, fitted.cost_without_steps()?)
+                {
                     own[WITHOUT] += own_change;
                     costs[WITHOUT] += change;
                 }

@@ -196,7 +196,8 @@ impl Search<'_> {
     ) -> Result<Evidence, GapError> {
         let linear = self.windows.linearise(&self.x)?;
         let normal = self.normal(&linear);
-        let step = self.windows.step_error(&self.x, &linear, &normal)?;
+        let without = self.windows.without_steps(&self.x, &linear)?;
+        let step = without.map(|own| own.error(&normal));
         let sizes = self.sureness(&normal, own, step.as_ref());
         let p = match (&sizes[..], &c.score) {
             ([], Some(score)) => score.p_value,

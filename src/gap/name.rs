@@ -10,6 +10,8 @@
 //! in units of the noise that the recordings show ([`super::score`]), the shapes of k held: where on a body a payload sits
 //! may be anybody's guess though something is plainly there, and then nothing would be told from it.
 
+use nalgebra::DVector;
+
 use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
 use super::model::Chosen;
@@ -18,7 +20,6 @@ use super::score::Normal;
 use super::screen::{Candidate, Screen};
 use super::search::{Evidence, Search, Size};
 use super::untestable::UNSHOWN;
-use crate::sysid::SysidError;
 use crate::sysid::student::two_sided_t;
 
 /// Squared separation below which two effects are one class.
@@ -26,15 +27,13 @@ pub(super) const APART: f64 = 9.0;
 /// How many times the largest size to be expected another explanation may need.
 const ABSURD: f64 = 2.0;
 
-/// Names every effect in the model of `search`; `screen` is of that model.
-///
-/// # Errors
-/// The engine refuses a number.
-pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, SysidError> {
-    if search.chosen.is_empty() {
-        return Ok(Vec::new());
-    }
-    let step = (search.windows).step_error(&search.x, &screen.linear, &screen.normal)?;
+/// Names every effect in the model of `search`. `screen` is of that model, `step` what its own step makes of every free
+/// parameter.
+pub(super) fn name(
+    search: &Search<'_>,
+    screen: &Screen,
+    step: Option<&DVector<f64>>,
+) -> Vec<Named> {
     let free = search.built.free(&search.windows.problem);
     let mut out = Vec::new();
     for (i, chosen) in search.chosen.iter().enumerate() {
@@ -49,7 +48,7 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
             let ci95 = number.map(|(j, _, _, slope)| {
                 let (sigma, dof) = screen.normal.fitted(*j);
                 let sigma = sigma * slope.abs();
-                let by_step = step.as_ref().map_or(0.0, |dx| (dx[*j] * slope).abs());
+                let by_step = step.map_or(0.0, |dx| (dx[*j] * slope).abs());
                 let half = two_sided_t(0.95, dof.max(1.0)) * sigma + by_step;
                 let [least, most] = match (parameter.role, parameter.sign) {
                     // nothing beyond was looked at: wider, it is not determined
@@ -89,7 +88,7 @@ pub(super) fn name(search: &Search<'_>, screen: &Screen) -> Result<Vec<Named>, S
         let said = (chosen, search.built.forms[i]);
         out.push(called(said, parameters, &search.evidence[i], others));
     }
-    Ok(out)
+    out
 }
 
 /// An effect with its class: itself, and those `alike` that could stand in its place.

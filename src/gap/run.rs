@@ -221,10 +221,13 @@ pub(super) fn at_length(
         Some(present) => present,
         None => screened(search.screen(watch)?)?,
     };
-    search.tell_apart(watch)?;
+    let without = search.windows.without_steps(&search.x, &screen.linear)?;
+    let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
+    search.tell_apart(by_steps, watch)?;
     watch.go_on()?;
     watch.stage(Stage::Name);
-    let effects = name::name(&search, &screen)?;
+    let step = without.map(|own| own.error(&screen.normal));
+    let effects = name::name(&search, &screen, step.as_ref());
     let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
     let remaining = Remaining {
         before: first.remaining,
@@ -249,7 +252,7 @@ pub(super) fn at_length(
         &|channel| verify::noise(&whole, channel),
         options.seed,
     )?;
-    if let Some(part) = search.part_of_steps()? {
+    if let Some(part) = by_steps.and_then(|change| search.part_of_steps(change)) {
         gap.notes.push(format!(
             "steps of {} s make {:.0} % of what is left: a shorter timestep of the model would show more",
             search.windows.problem.model.timestep(),

@@ -11,7 +11,7 @@
 //! twice, as half the error is gone in half the step, and belongs to the intervals of numbers (Richardson 1911). With
 //! r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it would be without steps.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::coarse;
 use super::fit::{information, solved};
@@ -19,81 +19,26 @@ use super::linear::Linear;
 use super::score::Normal;
 use super::windows::Windows;
 use crate::sysid::SysidError;
+use crate::sysid::parameter::Parameters;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::simulate::Pool;
 
+/// 2 (r(h/2) − r(h)) of every window of a linearisation, weighed as its rows.
+pub(super) struct WithoutSteps<'l> {
+    linear: &'l Linear,
+    changes: Vec<DVector<f64>>,
+}
+
 impl Windows {
-    /// dx of every free parameter from the step of the model; `linear` and `normal` are at `x`. `None` where half the step
-    /// breaks down.
+    /// The windows of `linear`, which is at `x`, without steps. `None` where half the step breaks down.
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn step_error(
+    pub(super) fn without_steps<'l>(
         &self,
         x: &[f64],
-        linear: &Linear,
-        normal: &Normal,
-    ) -> Result<Option<DVector<f64>>, SysidError> {
-        let Some(changes) = self.without_steps(x, linear)? else {
-            return Ok(None);
-        };
-        let mut along = DVector::zeros(x.len());
-        for (row, change) in linear.rows.iter().zip(&changes) {
-            // J̃ has nothing of what first states do
-            along.gemv_tr(-1.0, &row.parameters, change, 1.0);
-        }
-        Ok(Some(normal.solve(&along)))
-    }
-
-    /// What the cost would be more in steps of no length, parameters but those `at_rest` and first states fitted to that:
-    /// two models are told apart by it where steps of h do what one of them is about, as a drive that is late. `None` where
-    /// half the step breaks down.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn cost_of_steps(
-        &self,
-        x: &[f64],
-        at_rest: &[usize],
-    ) -> Result<Option<f64>, SysidError> {
-        let linear = self.linearise(x)?;
-        let Some(changes) = self.without_steps(x, &linear)? else {
-            return Ok(None);
-        };
-        let normal = information(&linear, x.len());
-        let with = linear.rows.iter().map(|row| row.residual.clone());
-        let without = (linear.rows.iter().zip(&changes))
-            .map(|(row, change)| &row.residual + change - &row.basis * row.basis.tr_mul(change));
-        // a fit that could go on would otherwise go on for one of them
-        let least = |residuals| self.least_cost((x, at_rest), &linear, &normal, residuals);
-        Ok(Some(least(without.collect()) - least(with.collect())))
-    }
-
-    /// Cost of these residuals of all windows, parameters fitted to them from `x`.
-    fn least_cost(
-        &self,
-        (x, at_rest): (&[f64], &[usize]),
-        linear: &Linear,
-        normal: &DMatrix<f64>,
-        residuals: Vec<DVector<f64>>,
-    ) -> f64 {
-        let parameters = &self.problem.parameters;
-        let mut right = DVector::zeros(x.len());
-        for (row, residual) in linear.rows.iter().zip(&residuals) {
-            right.gemv_tr(-1.0, &row.parameters, residual, 1.0);
-        }
-        let (dx, to) = solved(parameters, x, normal, right, at_rest);
-        let each = linear.rows.iter().zip(residuals);
-        let squares = each.map(|(row, residual)| (residual + &row.parameters * &dx).norm_squared());
-        0.5 * squares.sum::<f64>() + parameters.prior_cost(&to)
-    }
-
-    /// 2 (r(h/2) − r(h)) of every window, weighed as its row.
-    fn without_steps(
-        &self,
-        x: &[f64],
-        linear: &Linear,
-    ) -> Result<Option<Vec<DVector<f64>>>, SysidError> {
+        linear: &'l Linear,
+    ) -> Result<Option<WithoutSteps<'l>>, SysidError> {
         let held = self.held(&self.problem, x);
         let fine = coarse::problem(&held, 0.5)?;
         let fine_windows = coarse::windows(&linear.windows, 0.5);
@@ -122,7 +67,43 @@ impl Windows {
                 (z.zip(z_half).zip(&row.factor)).map(|((z, z_half), f)| 2.0 * f * (z_half.0 - z.0));
             changes.push(DVector::from_iterator(row.residual.len(), change));
         }
-        Ok(Some(changes))
+        Ok(Some(WithoutSteps { linear, changes }))
+    }
+}
+
+impl WithoutSteps<'_> {
+    /// dx of every free parameter from the step of the model; `normal` is of the same linearisation.
+    pub(super) fn error(&self, normal: &Normal) -> DVector<f64> {
+        let rows = &self.linear.rows;
+        let np = rows.first().map_or(0, |row| row.parameters.ncols());
+        let mut along = DVector::zeros(np);
+        for (row, change) in rows.iter().zip(&self.changes) {
+            // J̃ has nothing of what first states do
+            along.gemv_tr(-1.0, &row.parameters, change, 1.0);
+        }
+        normal.solve(&along)
+    }
+
+    /// What the cost is more than with steps, `parameters` at `x` but those `at_rest` and first states fitted to that: two
+    /// models are told apart by it where steps of h do what one of them is about, as a drive that is late.
+    pub(super) fn cost(&self, parameters: &Parameters, x: &[f64], at_rest: &[usize]) -> f64 {
+        let normal = information(self.linear, x.len());
+        let rows = || self.linear.rows.iter();
+        let with = rows().map(|row| row.residual.clone());
+        let without = (rows().zip(&self.changes))
+            .map(|(row, change)| &row.residual + change - &row.basis * row.basis.tr_mul(change));
+        // a fit that could go on would otherwise go on for one of them
+        let least = |residuals: Vec<DVector<f64>>| {
+            let mut right = DVector::zeros(x.len());
+            for (row, residual) in rows().zip(&residuals) {
+                right.gemv_tr(-1.0, &row.parameters, residual, 1.0);
+            }
+            let (dx, to) = solved(parameters, x, &normal, right, at_rest);
+            let squares = (rows().zip(residuals))
+                .map(|(row, residual)| (residual + &row.parameters * &dx).norm_squared());
+            0.5 * squares.sum::<f64>() + parameters.prior_cost(&to)
+        };
+        least(without.collect()) - least(with.collect())
     }
 }
 
@@ -188,8 +169,10 @@ mod tests {
         let problem = Problem::new(model("0.004"), &config, &all).expect("a problem");
         let mut windows = Windows::cut(&problem, &[], 0.4, 100).expect("windows");
         windows.fit(&[], 20, &mut |_| true).expect("a fit");
-        let change = windows.cost_of_steps(&[], &[]).expect("simulations");
-        change.expect("that half the step does not break")
+        let linear = windows.linearise(&[]).expect("simulations");
+        let without = windows.without_steps(&[], &linear).expect("simulations");
+        let without = without.expect("that half the step does not break");
+        without.cost(&windows.problem.parameters, &[], &[])
     }
 
     #[test]
