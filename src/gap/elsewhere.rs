@@ -11,10 +11,11 @@
 //! and judged one by one as any other effect ([`super::forward`]); what does not stand is left out. What was found at
 //! several places is one effect in the count of those that are looked for.
 
+use super::evidence::{Evidence, Standing};
 use super::forward::{OF_USE, tests};
-use super::model::Chosen;
+use super::held_out::{Held, falls};
 use super::screen::{Candidate, Screen};
-use super::search::{Evidence, ITERATIONS, Search};
+use super::search::{ITERATIONS, Search};
 use super::{GapError, Stage, Watch};
 
 impl Search<'_> {
@@ -33,19 +34,25 @@ impl Search<'_> {
         }
         let screen = self.screen(watch)?.ok_or(GapError::Stopped)?;
         let mut more = self.more(&screen, effect.about().name);
+        if more.is_empty() {
+            return Ok(Some(screen));
+        }
         watch.stage(Stage::Refit);
+        let held = self.held(&self.built, &self.windows, &self.x)?;
         while !more.is_empty() {
-            let Some((then, evidence)) = self.with_all(&more, &screen, watch)? else {
+            let Some((then, evidence)) = self.with_all(&more, (&screen, held.as_ref()), watch)?
+            else {
                 break;
             };
-            let stands: Vec<bool> = evidence.iter().map(|e| self.stands(e)).collect();
-            if stands.iter().all(|s| *s) {
+            let stands =
+                |e: &Evidence| self.limits.significant(e.p_value) && self.limits.large(e.size);
+            if evidence.iter().all(stands) {
                 *self = then;
                 self.evidence.extend(evidence);
                 return Ok(None);
             }
-            let both = more.into_iter().zip(stands);
-            more = both.filter_map(|(c, stands)| stands.then_some(c)).collect();
+            let each = more.into_iter().zip(&evidence);
+            more = each.filter_map(|(c, e)| stands(e).then_some(c)).collect();
         }
         Ok(Some(screen))
     }
@@ -76,11 +83,12 @@ impl Search<'_> {
         picked
     }
 
-    /// With all of these, and what speaks for each; nothing where they cannot be fitted, or are of no use.
+    /// With all of these, and what speaks for each; nothing where they cannot be fitted, or are of no use to held-out
+    /// recordings, which cost `held` without them.
     fn with_all(
         &self,
         more: &[&Candidate],
-        screen: &Screen,
+        (screen, held): (&Screen, Option<&Held>),
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Self, Vec<Evidence>)>, GapError> {
         let mut chosen = self.chosen.clone();
@@ -88,31 +96,21 @@ impl Search<'_> {
         let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
             return Ok(None);
         };
-        let scales = |c: &Chosen| self.measured.scales(&fitted.built.file.model, &c.place);
-        if fitted.chosen.iter().any(|c| c.absurd(&scales(c))) {
+        if self.absurd(&fitted) {
             return Ok(None);
         }
-        if let Some(before) = self.held(&self.built, &self.windows, &self.x)? {
-            let after = self.held(&fitted.built, &fitted.windows, &fitted.x)?;
-            if after.is_none_or(|after| after.cost >= (1.0 - OF_USE) * before.cost) {
-                return Ok(None);
-            }
+        let after = self.held(&fitted.built, &fitted.windows, &fitted.x)?;
+        if !falls(held, after.as_ref(), OF_USE) {
+            return Ok(None);
         }
-        let mut then = self.clone();
-        then.take(fitted);
-        then.settle(watch)?;
+        let then = self.settled_with(fitted, watch)?;
+        let standing = Standing::of(&then)?;
         let first = self.chosen.len();
-        let each = (more.iter().enumerate()).map(|(k, c)| {
+        let each = more.iter().enumerate().map(|(k, c)| {
             let gain = c.score.as_ref().map_or(0.0, |s| s.gain) / self.cost;
-            then.evidence(first + k, c, tests(screen), gain)
+            standing.evidence(first + k, c, tests(screen), gain)
         });
-        let evidence = each.collect::<Result<Vec<_>, _>>()?;
+        let evidence = each.collect();
         Ok(Some((then, evidence)))
-    }
-
-    /// Whether an effect is significant and large.
-    fn stands(&self, evidence: &Evidence) -> bool {
-        let large = evidence.size.is_none_or(|size| size >= self.limits.size);
-        evidence.p_value <= self.limits.family_p && large
     }
 }

@@ -4,21 +4,17 @@
 //! decides is taken from the fits: the cost, 2 more for each number, then for the best first
 //!
 //! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
-//! - significance, from the model with the effect, where what is left is no longer the effect itself; what the model's
-//!   own step makes of its number ([`super::step`]) is taken off first. Held-out recordings have a say in it
-//!   ([`super::held_out`]);
-//! - size: its response, as a part of that of the motors; a small one is kept where it is most of what is left. What no
-//!   fitted parameter could have explained of it is a thousandth of the motors' at least: less is the work of steps, of
-//!   how friction is rounded off and of whatever else no model has exactly.
-
-use nalgebra::DVector;
+//! - significance ([`super::evidence`]), in which held-out recordings have a say ([`super::held_out`]);
+//! - size; a small one is kept where it is most of what is left. What no fitted parameter could have explained of it is a
+//!   thousandth of the motors' at least: less is the work of steps, of how friction is rounded off and of whatever else no
+//!   model has exactly.
 
 use super::alike::{self, Tried};
-use super::held_out::both;
-use super::model::Chosen;
+use super::evidence::Standing;
+use super::held_out::{both, falls};
 use super::score::Score;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
-use super::search::{self, Evidence, Fitted, Search};
+use super::search::{Fitted, Search};
 use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted in full before one is kept.
@@ -48,10 +44,10 @@ impl Search<'_> {
     pub(super) fn worthy<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
         let (least, tests) = (self.limits.gain * self.unexplained(screen), tests(screen));
         let found = self.best_first(screen, |c, s| {
-            s.p_value * tests as f64 <= self.limits.family_p
+            self.limits.significant(s.p_value * tests as f64)
                 && s.gain >= least
                 && s.held_gain > s.held_sigma
-                && c.size.is_none_or(|size| size >= self.limits.size)
+                && self.limits.large(c.size)
         });
         found.into_iter().map(|(c, _)| c).collect()
     }
@@ -137,25 +133,18 @@ impl Search<'_> {
             if own_size.is_some_and(|size| size < OWN * self.limits.size) {
                 continue;
             }
-            let scales = |c: &Chosen| self.measured.scales(&own.built.file.model, &c.place);
-            if own.chosen.iter().any(|c| c.absurd(&scales(c))) {
+            if self.absurd(own) {
                 continue;
             }
             let held = self.held(&own.built, &own.windows, &own.x)?;
-            let below = |part: f64| {
-                let most = held_before
-                    .as_ref()
-                    .map(|before| (1.0 - part) * before.cost);
-                most.is_none_or(|most| held.as_ref().is_some_and(|held| held.cost < most))
-            };
-            if !below(OF_USE) {
+            let falls = |part: f64| falls(held_before.as_ref(), held.as_ref(), part);
+            if !falls(OF_USE) {
                 continue;
             }
-            let mut then = self.clone();
-            then.take(own.clone());
-            then.settle(watch)?;
+            let mut then = self.settled_with(own.clone(), watch)?;
+            let standing = Standing::of(&then)?;
             let mut evidence =
-                then.evidence(self.chosen.len(), of.candidate, tests(screen), gain)?;
+                standing.evidence(self.chosen.len(), of.candidate, tests(screen), gain);
             if let (Some(before), Some(held)) = (&held_before, &held)
                 && evidence.p_value <= LIKELY_STILL
             {
@@ -163,9 +152,10 @@ impl Search<'_> {
                 // few blocks say little: they take nothing away
                 evidence.p_value = both(evidence.p_value, chance).min(evidence.p_value);
             }
-            let large = evidence.size.is_none_or(|size| size >= self.limits.size);
-            let much = gain >= MUCH && below(MUCH);
-            if evidence.p_value <= self.limits.family_p && (large || much) {
+            let much = gain >= MUCH && falls(MUCH);
+            if self.limits.significant(evidence.p_value)
+                && (self.limits.large(evidence.size) || much)
+            {
                 evidence.alike = alike::rivals(&tried, i, then.cost);
                 then.evidence.push(evidence);
                 *self = then;
@@ -184,48 +174,6 @@ impl Search<'_> {
         let most = found.first().map_or(0.0, |f| f.1.held_gain);
         let near = found.into_iter().filter(|f| f.1.held_gain >= NEAR * most);
         near.map(|f| f.0).take(RIVALS).collect()
-    }
-
-    /// What speaks for `c`, which is effect `own` of the model as it is fitted now.
-    pub(super) fn evidence(
-        &self,
-        own: usize,
-        c: &Candidate,
-        tests: usize,
-        gain: f64,
-    ) -> Result<Evidence, GapError> {
-        let linear = self.windows.linearise(&self.x)?;
-        let normal = self.normal(&linear);
-        let without = self.windows.without_steps(&self.x, &linear)?;
-        let step = without.map(|own| own.error(&normal));
-        let sizes = self.sureness(&normal, own, step.as_ref());
-        let p = match (&sizes[..], &c.score) {
-            ([], Some(score)) => score.p_value,
-            // as many chances as sizes, and shapes tried
-            _ => search::doubt(&sizes) * (sizes.len() * c.effect.about().shapes()) as f64,
-        };
-        let mut response: Vec<DVector<f64>> = (linear.rows.iter())
-            .map(|row| DVector::zeros(row.residual.len()))
-            .collect();
-        let parameters = self.chosen[own].effect.about().parameters;
-        for (j, i, p, slope) in self.built.free(&self.windows.problem) {
-            if i == own && parameters[p].is_size() {
-                let change = self.chosen[i].values[p] / slope;
-                for (sum, row) in response.iter_mut().zip(&linear.rows) {
-                    sum.axpy(change, &row.parameters.column(j), 1.0);
-                }
-            }
-        }
-        let motors = linear.motors(&self.windows, &self.x)?;
-        let size = motors.and_then(|m| {
-            largest_part(&linear.by_channel(&response), &linear.by_channel(&m.parts))
-        });
-        Ok(Evidence {
-            p_value: (p * tests as f64).min(1.0),
-            gain,
-            size,
-            alike: Vec::new(),
-        })
     }
 }
 

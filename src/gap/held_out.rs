@@ -42,6 +42,11 @@ impl Held {
     }
 }
 
+/// Whether held-out recordings cost the part `part` less `after` than `before`; they have no say where there are none.
+pub(super) fn falls(before: Option<&Held>, after: Option<&Held>, part: f64) -> bool {
+    before.is_none_or(|before| after.is_some_and(|after| after.cost < (1.0 - part) * before.cost))
+}
+
 /// Of a sum of the ranks of all that fell like that of `falls`, or more, were either sign of each as likely.
 fn chance(falls: &[f64]) -> f64 {
     let mut order: Vec<f64> = falls.to_vec();

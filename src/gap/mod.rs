@@ -17,6 +17,7 @@ mod alike;
 mod coarse;
 pub mod effect;
 mod elsewhere;
+mod evidence;
 pub mod figures;
 mod fit;
 mod forward;

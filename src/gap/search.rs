@@ -9,10 +9,9 @@
 //! - and of use where it was not fitted: held-out recordings, their first states alone estimated, cost a twentieth less.
 
 use nalgebra::DVector;
-use serde::{Deserialize, Serialize};
 
-use super::alike::Rival;
 use super::effect::{ModelFile, Place};
+use super::evidence::Evidence;
 use super::fit;
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
@@ -41,6 +40,18 @@ impl Default for Limits {
             size: 0.01,
             gain: 0.03,
         }
+    }
+}
+
+impl Limits {
+    /// Whether so little is left to chance.
+    pub(super) fn significant(&self, p_value: f64) -> bool {
+        p_value <= self.family_p
+    }
+
+    /// Whether a response is large; where there are no motors nothing says that it is not.
+    pub(super) fn large(&self, size: Option<f64>) -> bool {
+        size.is_none_or(|size| size >= self.size)
     }
 }
 
@@ -81,19 +92,6 @@ pub(super) struct Search<'a> {
     pub built: Built,
     pub x: Vec<f64>,
     pub cost: f64,
-}
-
-/// Why an effect was chosen.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Evidence {
-    /// probability by chance, times the number of candidates
-    pub p_value: f64,
-    /// fall of the cost, as a part of it
-    pub gain: f64,
-    /// response, as a part of the motors'
-    pub size: Option<f64>,
-    /// others that fitted as well in its place
-    pub alike: Vec<Rival>,
 }
 
 impl<'a> Search<'a> {
@@ -323,6 +321,27 @@ impl<'a> Search<'a> {
             cost: fit.cost,
             windows,
         }))
+    }
+
+    /// With a fitted model in the place of the present one, settled.
+    ///
+    /// # Errors
+    /// See [`Search::settle`].
+    pub(super) fn settled_with(
+        &self,
+        fitted: Fitted,
+        watch: &mut Watch<'_>,
+    ) -> Result<Self, GapError> {
+        let mut then = self.clone();
+        then.take(fitted);
+        then.settle(watch)?;
+        Ok(then)
+    }
+
+    /// Whether an effect of a fitted model has numbers that no machine has.
+    pub(super) fn absurd(&self, fitted: &Fitted) -> bool {
+        let scales = |c: &Chosen| self.measured.scales(&fitted.built.file.model, &c.place);
+        fitted.chosen.iter().any(|c| c.absurd(&scales(c)))
     }
 
     /// Makes a fitted model the present one.

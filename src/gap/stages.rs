@@ -17,10 +17,11 @@ use sha2::{Digest, Sha256};
 
 use super::GapError;
 use super::effect::{Place, named};
+use super::evidence::Evidence;
 use super::model::{Built, Chosen};
 use super::result::{Located, Tested};
 use super::run::{Input, MissingSeries, Options};
-use super::search::{Evidence, Search};
+use super::search::Search;
 use super::windows::Windows;
 use crate::sysid::shooting::window::State;
 

@@ -11,8 +11,9 @@
 use super::judge::{Difference, Judge, Point, Seen, difference};
 use super::rest;
 use crate::gap::effect::{self, Effect, Place, Role, Scales, Sign};
+use crate::gap::evidence::Evidence;
 use crate::gap::model::{Chosen, variants};
-use crate::gap::search::{Evidence, Limits};
+use crate::gap::search::Limits;
 use crate::gap::{GapError, Stage, Watch};
 
 /// Sizes of a candidate between the least and the largest.

@@ -28,12 +28,12 @@ mod rest;
 use serde::{Deserialize, Serialize};
 
 use super::effect::{Place, named};
+use super::evidence::Evidence;
 use super::inputs::check_effects;
 use super::model::Chosen;
 use super::repair::{machine, repaired, rules};
 use super::result::{Answer, Located, Remaining, Tested, Untestable, Verdict};
 use super::run::{Input, Options, Outcome};
-use super::search::Evidence;
 use super::stages::{self, Keeper};
 use super::untestable::{UNSHOWN, list};
 use super::{GapError, Stage, Watch, verify};

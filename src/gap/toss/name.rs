@@ -11,10 +11,10 @@ use super::forward::{Candidate, candidates, screen, zoom};
 use super::judge::{Judge, Polished, difference};
 use super::rest::Size;
 use crate::gap::effect::{Effect, Form, Role, Scales, Sign};
+use crate::gap::evidence::Evidence;
 use crate::gap::model::Chosen;
 use crate::gap::name::{APART, called};
 use crate::gap::result::{Named, Value, Where};
-use crate::gap::search::Evidence;
 use crate::gap::{GapError, Stage, Watch};
 use crate::sysid::interval::Posterior;
 
