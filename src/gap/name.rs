@@ -14,11 +14,12 @@ use nalgebra::DVector;
 
 use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
+use super::evidence::Evidence;
 use super::model::Chosen;
 use super::result::{Experiment, Named, Untestable, Value, Where};
 use super::score::Normal;
 use super::screen::{Candidate, Screen};
-use super::search::{Evidence, Search, Size};
+use super::search::{Search, Size};
 use super::untestable::UNSHOWN;
 use crate::sysid::student::two_sided_t;
 
@@ -70,10 +71,11 @@ pub(super) fn name(
         }
         let mut others: Vec<Where> = search.evidence[i].alike.iter().map(Rival::said).collect();
         let (normal, sizes) = search.sizes(&screen.normal, i);
-        let t = |size: &Size| size.x.abs() / normal.fitted(size.at).0;
-        if let Some(surest) = (sizes.iter()).max_by(|a, b| t(a).total_cmp(&t(b))) {
+        let sure = |size: &Size| size.x.abs() / normal.fitted(size.at).0;
+        let each = sizes.iter().map(|size| (size, sure(size)));
+        if let Some(surest) = each.max_by(|a, b| a.1.total_cmp(&b.1)) {
             for c in &screen.candidates {
-                let Some(d2) = separation(search, &normal, c, (surest, t(surest))) else {
+                let Some(d2) = separation(search, &normal, c, surest) else {
                     continue;
                 };
                 let own = Where::of(c.effect, &c.place, d2);
