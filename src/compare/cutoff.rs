@@ -12,7 +12,8 @@
 //! velocities of noise: from two samples apart it is σ/(√2 h).
 
 use super::butterworth::low_pass;
-use crate::recording::{Kind, Recording, Stream};
+use super::samples::{Samples, median_interval};
+use crate::recording::{Kind, Recording};
 
 /// Times h: nothing worth filtering is above.
 const HIGHEST: f64 = 0.4;
@@ -39,10 +40,12 @@ pub fn cutoff_hz<'a>(
             let Some(sigma) = sigma(&channel.name).filter(|s| position && *s > 0.0) else {
                 continue;
             };
-            let Some((values, interval)) = readings(stream, column) else {
+            let own = Samples::of(stream, column);
+            let interval = median_interval(&own.time_s);
+            if own.values.len() < FEWEST || interval <= 0.0 {
                 continue;
-            };
-            let hz = lowest(&values, sigma)? / interval;
+            }
+            let hz = lowest(&own.values, sigma)? / interval;
             highest = Some(highest.map_or(hz, |most| hz.max(most)));
         }
     }
@@ -65,24 +68,10 @@ fn lowest(values: &[f64], sigma: f64) -> Option<f64> {
     })
 }
 
-/// Samples of a channel, and the interval between them, s.
-fn readings(stream: &Stream, column: usize) -> Option<(Vec<f64>, f64)> {
-    let (mut values, mut times) = (Vec::new(), Vec::new());
-    for i in 0..stream.len() {
-        if stream.row(i)[column].is_finite() {
-            values.push(stream.row(i)[column]);
-            times.push(stream.time(i));
-        }
-    }
-    let last = times.len().checked_sub(1)?;
-    let interval = (times[last] - times[0]) / last as f64;
-    (values.len() >= FEWEST && interval > 0.0).then_some((values, interval))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::{Channel, Meta};
+    use crate::recording::{Channel, Meta, Stream};
     use crate::rng::{self, Purpose};
 
     /// Ten seconds of a sine of `hz` and 1 rad, a sample a millisecond.

@@ -24,6 +24,7 @@ pub mod forces;
 mod memory;
 pub mod policy;
 pub mod rollouts;
+mod samples;
 mod seeded;
 pub mod settings;
 pub mod start;

@@ -12,6 +12,7 @@ use super::butterworth::low_pass;
 use super::closure::Closure;
 use super::differences::{accelerations, align, differences, free_quaternions, normalise};
 use super::memory::Memory;
+use super::samples::{Samples, median_interval};
 use super::settings::Derivative;
 use super::{CompareError, Settings};
 
@@ -69,38 +70,6 @@ pub struct States {
 
 /// Times in s and values.
 type Control = (Vec<f64>, Vec<f64>);
-
-/// Samples of one channel, without gaps.
-struct Samples {
-    time_s: Vec<f64>,
-    values: Vec<f64>,
-}
-
-impl Samples {
-    fn of(recording: &Recording, channel: &BoundChannel) -> Self {
-        let stream = &recording.streams[channel.stream];
-        let rows = (0..stream.len()).map(|i| (stream.time(i), stream.row(i)[channel.column]));
-        let (time_s, values) = rows.filter(|(_, value)| value.is_finite()).unzip();
-        Self { time_s, values }
-    }
-
-    /// By straight lines; NaN outside.
-    fn at(&self, time: f64) -> f64 {
-        let after = self.time_s.partition_point(|t| *t < time);
-        match (after.checked_sub(1), self.time_s.get(after)) {
-            (_, Some(t)) if *t == time => self.values[after],
-            (Some(before), Some(t)) => {
-                let part = (time - self.time_s[before]) / (t - self.time_s[before]);
-                self.values[before] + part * (self.values[after] - self.values[before])
-            }
-            _ => f64::NAN,
-        }
-    }
-
-    fn all_at(&self, times: &[f64]) -> Vec<f64> {
-        times.iter().map(|t| self.at(*t)).collect()
-    }
-}
 
 /// Where each recorded number of the state goes.
 #[derive(Default)]
@@ -171,11 +140,11 @@ impl States {
 
         let mut memory = Memory::new(model)?;
         let encoded = |stream: &BoundChannel, scalar: bool| {
-            let mut samples = Samples::of(recording, stream);
+            let mut own = samples(recording, stream);
             if scalar && memory.delay_s > 0.0 {
-                samples.time_s.iter_mut().for_each(|t| *t -= memory.delay_s);
+                own.time_s.iter_mut().for_each(|t| *t -= memory.delay_s);
             }
-            samples
+            own
         };
         let positions: Vec<Samples> = sources
             .qpos
@@ -191,8 +160,8 @@ impl States {
             .controls
             .iter()
             .map(|b| {
-                let samples = Samples::of(recording, b);
-                (samples.time_s, samples.values)
+                let own = samples(recording, b);
+                (own.time_s, own.values)
             })
             .collect();
         let held = |time: f64, ctrl: &mut [f64]| controls_at(&controls, time, ctrl);
@@ -280,7 +249,7 @@ impl States {
                 address: b.address,
                 sensor: b.object,
                 name: recording.streams[b.stream].channels[b.column].name.clone(),
-                values: Samples::of(recording, b).all_at(&time_s),
+                values: samples(recording, b).all_at(&time_s),
             })
             .collect();
         let mut states = Self {
@@ -393,6 +362,10 @@ fn check_positions(
     Ok(unknown)
 }
 
+fn samples(recording: &Recording, channel: &BoundChannel) -> Samples {
+    Samples::of(&recording.streams[channel.stream], channel.column)
+}
+
 /// Times of the channel with most samples, between the latest beginning and the earliest end of all.
 fn common_times(channels: &[Samples]) -> Vec<f64> {
     let Some(longest) = channels.iter().max_by_key(|c| c.time_s.len()) else {
@@ -404,12 +377,6 @@ fn common_times(channels: &[Samples]) -> Vec<f64> {
     let end = channels.iter().map(last).fold(f64::INFINITY, f64::min);
     let inside = longest.time_s.iter().filter(|t| **t >= begin && **t <= end);
     inside.copied().collect()
-}
-
-fn median_interval(time_s: &[f64]) -> f64 {
-    let mut intervals: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    intervals.sort_by(f64::total_cmp);
-    intervals.get(intervals.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Replace times at uneven intervals by even ones.
@@ -436,10 +403,7 @@ fn fill(qpos0: &[f64], time_s: &[f64], addresses: &[usize], channels: &[Samples]
 /// x and y of the target.
 fn goal(recording: &Recording, bound: &Bound, time_s: &[f64]) -> Option<Vec<f64>> {
     let find = |i: usize| bound.goal.iter().find(|b| b.address == i);
-    let (x, y) = (
-        Samples::of(recording, find(0)?),
-        Samples::of(recording, find(1)?),
-    );
+    let (x, y) = (samples(recording, find(0)?), samples(recording, find(1)?));
     Some(time_s.iter().flat_map(|t| [x.at(*t), y.at(*t)]).collect())
 }
 
