@@ -4,9 +4,9 @@ mod common;
 
 use common::driven::{self, FRICTION};
 use phantom::compare::Settings;
+use phantom::gap::Options;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::{Answer, Verdict};
-use phantom::gap::{self, Input, Options};
 use phantom::recording::Recording;
 
 /// Two links one after the other; `DRY` stands for attributes of both joints.
@@ -64,19 +64,12 @@ fn search(
             .collect();
         driven::record(&machine.model, seed, 4000, &positions, &motors)
     };
-    let input = Input {
-        model: base,
-        config: &driven::config(bodies),
-        train: &[record(1)],
-        holdout: &[record(101)],
-        protocol: &Settings::default(),
-    };
     let options = Options {
         max_effects: 1,
         ..Options::default()
     };
-    let outcome = gap::run(&input, &options, &mut |_, _, _| true);
-    outcome.unwrap_or_else(|e| panic!("{e}")).answer
+    let of: [&[_]; 2] = [&[record(1)], &[record(101)]];
+    driven::search_with(base, bodies, of, (&options, &Settings::default())).answer
 }
 
 /// One effect was sought where two joints have it: the other was left, and said to be nothing known.

@@ -79,15 +79,31 @@ pub(crate) fn search(
     train: &[(String, Recording)],
     holdout: &[(String, Recording)],
 ) -> Outcome {
+    let protocol = Settings {
+        cutoff_hz: Some(30.0),
+        ..Settings::default()
+    };
+    search_with(
+        model,
+        bodies,
+        [train, holdout],
+        (&Options::default(), &protocol),
+    )
+}
+
+/// The same as told, `of` being recordings to train and to verify with.
+pub(crate) fn search_with(
+    model: &ModelFile,
+    bodies: &str,
+    of: [&[(String, Recording)]; 2],
+    (options, protocol): (&Options, &Settings),
+) -> Outcome {
     let input = Input {
         model,
         config: &config(bodies),
-        train,
-        holdout,
-        protocol: &Settings {
-            cutoff_hz: Some(30.0),
-            ..Settings::default()
-        },
+        train: of[0],
+        holdout: of[1],
+        protocol,
     };
-    gap::run(&input, &Options::default(), &mut |_, _, _| true).unwrap_or_else(|e| panic!("{e}"))
+    gap::run(&input, options, &mut |_, _, _| true).unwrap_or_else(|e| panic!("{e}"))
 }
