@@ -56,6 +56,29 @@ def record(xml, seconds, rate, step, start, control, force):
     return np.array(rows)
 
 
+def document(name, step, tree, motors, sensors):
+    """The text of a machine: `motors` and `sensors` are pairs of a name and its joint."""
+    each = lambda kind, pairs: "".join(f'<{kind} name="{own}" joint="{joint}"/>' for own, joint in pairs)
+    return f"""<mujoco model="{name}">
+  <compiler angle="radian"/>
+  <option timestep="{step}"/>
+  <worldbody>
+    {tree}
+  </worldbody>
+  <actuator>{each("motor", motors)}</actuator>
+  <sensor>{each("jointpos", sensors)}</sensor>
+</mujoco>"""
+
+
+def link(name, at, centre, mass, inertia, joint, inner=""):
+    """A body with a joint, and what hangs on it. `inertia` is diagonal, in kg m²; `joint` its attributes."""
+    return f"""<body name="{name}" pos="{at}">
+      <inertial pos="{centre}" mass="{mass}" diaginertia="{" ".join(str(i) for i in inertia)}"/>
+      <joint {joint}/>
+      {inner}
+    </body>"""
+
+
 class Pendulum:
     """Swings by itself, released at five angles."""
 
@@ -70,17 +93,10 @@ class Pendulum:
 
     def xml(self, machine):
         mass, damping = (0.32, 0.0012) if machine else (0.3, 0.001)
-        return f"""<mujoco model="pendulum">
-  <compiler angle="radian"/>
-  <option timestep="0.001"/>
-  <worldbody>
-    <body name="rod">
-      <inertial pos="0 0 -0.18" mass="{mass}" diaginertia="{0.0133 * mass} {0.0133 * mass} {0.0003 * mass}"/>
-      <joint name="pivot" axis="0 1 0" damping="{damping}"/>
-    </body>
-  </worldbody>
-  <sensor><jointpos name="angle" joint="pivot"/></sensor>
-</mujoco>"""
+        inertia = 0.0133 * mass, 0.0133 * mass, 0.0003 * mass
+        joint = f'name="pivot" axis="0 1 0" damping="{damping}"'
+        rod = link("rod", "0 0 0", "0 0 -0.18", mass, inertia, joint)
+        return document("pendulum", 0.001, rod, [], [("angle", "pivot")])
 
     def trial(self, rng, i):
         return [[1.2, -2.0, 0.7, -1.5, 1.7][i]], None
@@ -98,23 +114,12 @@ class Cart:
     }
 
     def xml(self, machine):
-        cart, pole, rail, hinge = (0.82, 0.21, 1.1, 0.0011) if machine else (0.8, 0.2, 1.0, 0.001)
-        return f"""<mujoco model="cart">
-  <compiler angle="radian"/>
-  <option timestep="0.002"/>
-  <worldbody>
-    <body name="cart">
-      <inertial pos="0 0 0" mass="{cart}" diaginertia="0.01 0.01 0.01"/>
-      <joint name="slide" type="slide" axis="1 0 0" damping="{rail}"/>
-      <body name="pole">
-        <inertial pos="0 0 -0.25" mass="{pole}" diaginertia="{0.02 * pole} {0.02 * pole} {0.0005 * pole}"/>
-        <joint name="hinge" axis="0 1 0" damping="{hinge}"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor name="push" joint="slide"/></actuator>
-  <sensor><jointpos name="x" joint="slide"/><jointpos name="theta" joint="hinge"/></sensor>
-</mujoco>"""
+        m_cart, m_pole, rail, hinge = (0.82, 0.21, 1.1, 0.0011) if machine else (0.8, 0.2, 1.0, 0.001)
+        joint = f'name="hinge" axis="0 1 0" damping="{hinge}"'
+        pole = link("pole", "0 0 0", "0 0 -0.25", m_pole, (0.02 * m_pole, 0.02 * m_pole, 0.0005 * m_pole), joint)
+        joint = f'name="slide" type="slide" axis="1 0 0" damping="{rail}"'
+        cart = link("cart", "0 0 0", "0 0 0", m_cart, (0.01, 0.01, 0.01), joint, pole)
+        return document("cart", 0.002, cart, [("push", "slide")], [("x", "slide"), ("theta", "hinge")])
 
     def trial(self, rng, i):
         wanted = sines(rng, [0.25], (0.1, 1.5), 8)
@@ -134,23 +139,14 @@ class Furuta:
     }
 
     def xml(self, machine):
-        mass, arm, pendulum = (0.025, 0.0004, 3e-5) if machine else (0.024, 0.0005, 2.5e-5)
-        return f"""<mujoco model="furuta">
-  <compiler angle="radian"/>
-  <option timestep="0.001"/>
-  <worldbody>
-    <body name="arm">
-      <inertial pos="0.04 0 0" mass="0.095" diaginertia="5e-6 6e-5 6e-5"/>
-      <joint name="arm" axis="0 0 1" damping="{arm}"/>
-      <body name="pendulum" pos="0.085 0 0">
-        <inertial pos="0 0 -0.065" mass="{mass}" diaginertia="{1.375e-3 * mass} {1.375e-3 * mass} {4e-5 * mass}"/>
-        <joint name="pendulum" axis="1 0 0" damping="{pendulum}"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor name="motor" joint="arm"/></actuator>
-  <sensor><jointpos name="arm_pos" joint="arm"/><jointpos name="pendulum_pos" joint="pendulum"/></sensor>
-</mujoco>"""
+        mass, d_arm, d_pendulum = (0.025, 0.0004, 3e-5) if machine else (0.024, 0.0005, 2.5e-5)
+        inertia = 1.375e-3 * mass, 1.375e-3 * mass, 4e-5 * mass
+        joint = f'name="pendulum" axis="1 0 0" damping="{d_pendulum}"'
+        pendulum = link("pendulum", "0.085 0 0", "0 0 -0.065", mass, inertia, joint)
+        joint = f'name="arm" axis="0 0 1" damping="{d_arm}"'
+        arm = link("arm", "0 0 0", "0.04 0 0", 0.095, (5e-6, 6e-5, 6e-5), joint, pendulum)
+        sensors = [("arm_pos", "arm"), ("pendulum_pos", "pendulum")]
+        return document("furuta", 0.001, arm, [("motor", "arm")], sensors)
 
     def trial(self, rng, i):
         wanted = sines(rng, [0.9], (0.2, 2.5), 8)
@@ -176,24 +172,16 @@ class Arm:
     def xml(self, machine):
         rng = np.random.default_rng(7)
         factor = 1 + machine * np.repeat([0.05, 0.2], 6) * rng.normal(size=12)
-        links = ""
-        for i in range(6):
+        tree = ""
+        for i in reversed(range(6)):
             length, mass = self.lengths[i], self.masses[i] * factor[i]
             side, along = mass * (length**2 / 12 + 4e-4), 1e-3 * mass
-            links += f"""<body name="link{i + 1}" pos="0 0 {self.lengths[i - 1] if i else 0}">
-      <inertial pos="0 0.01 {length / 2}" mass="{mass}" diaginertia="{side} {side} {along}"/>
-      <joint name="j{i + 1}" axis="{self.axes[i]}" damping="{self.dampings[i] * factor[6 + i]}" armature="{self.armatures[i]}"/>
-    """
-        each = lambda form: "".join(form.format(i) for i in range(1, 7))
-        return f"""<mujoco model="arm">
-  <compiler angle="radian"/>
-  <option timestep="0.002"/>
-  <worldbody>
-    {links}{"</body>" * 6}
-  </worldbody>
-  <actuator>{each('<motor name="m{0}" joint="j{0}"/>')}</actuator>
-  <sensor>{each('<jointpos name="q{0}" joint="j{0}"/>')}</sensor>
-</mujoco>"""
+            at, centre = f"0 0 {self.lengths[i - 1] if i else 0}", f"0 0.01 {length / 2}"
+            damping, armature = self.dampings[i] * factor[6 + i], self.armatures[i]
+            joint = f'name="j{i + 1}" axis="{self.axes[i]}" damping="{damping}" armature="{armature}"'
+            tree = link(f"link{i + 1}", at, centre, mass, (side, side, along), joint, tree)
+        joints = [f"j{i}" for i in range(1, 7)]
+        return document("arm", 0.002, tree, list(zip(self.motors, joints)), list(zip(self.readings, joints)))
 
     def trial(self, rng, i):
         wanted = sines(rng, [0.5, 0.35, 0.5, 0.6, 0.6, 0.8], (0.1, 1.0), 5)
@@ -214,22 +202,13 @@ class DoublePendulum:
     }
 
     def xml(self, machine):
-        upper, lower = (0.11 if machine else 0.1), 0.08
-        return f"""<mujoco model="double">
-  <compiler angle="radian"/>
-  <option timestep="0.0005"/>
-  <worldbody>
-    <body name="upper">
-      <inertial pos="0 0 -0.09" mass="{upper}" diaginertia="{2.7e-3 * upper} {2.7e-3 * upper} 1e-5"/>
-      <joint name="j1" axis="0 1 0"/>
-      <body name="lower" pos="0 0 -0.18">
-        <inertial pos="0 0 -0.08" mass="{lower}" diaginertia="{2.1e-3 * lower} {2.1e-3 * lower} 1e-5"/>
-        <joint name="j2" axis="0 1 0"/>
-      </body>
-    </body>
-  </worldbody>
-  <sensor><jointpos name="a1" joint="j1"/><jointpos name="a2" joint="j2"/></sensor>
-</mujoco>"""
+        m_upper, m_lower = (0.11 if machine else 0.1), 0.08
+        along = 1e-5
+        inertia = 2.1e-3 * m_lower, 2.1e-3 * m_lower, along
+        lower = link("lower", "0 0 -0.18", "0 0 -0.08", m_lower, inertia, 'name="j2" axis="0 1 0"')
+        inertia = 2.7e-3 * m_upper, 2.7e-3 * m_upper, along
+        upper = link("upper", "0 0 0", "0 0 -0.09", m_upper, inertia, 'name="j1" axis="0 1 0"', lower)
+        return document("double", 0.0005, upper, [], [("a1", "j1"), ("a2", "j2")])
 
     def trial(self, rng, i):
         return [(1.5, 0.3), (-1.0, 1.2), (2.2, -0.6), (-1.8, 0.9)][i], None
@@ -252,22 +231,12 @@ class Bare:
 
     def xml(self, machine):
         a, b = (1.248, 0.76) if machine else (1.2, 0.8)
-        return f"""<mujoco model="bare">
-  <compiler angle="radian"/>
-  <option timestep="0.00025"/>
-  <worldbody>
-    <body name="l1">
-      <inertial pos="0 0 -0.15" mass="{a}" diaginertia="{0.01 * a} {0.01 * a} 0.001"/>
-      <joint name="j1" axis="0 1 0" armature="0.02"/>
-      <body name="l2" pos="0 0 -0.3">
-        <inertial pos="0 0 -0.12" mass="{b}" diaginertia="{0.0075 * b} {0.0075 * b} 0.0005"/>
-        <joint name="j2" axis="0 1 0" armature="0.01"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor name="m1" joint="j1"/><motor name="m2" joint="j2"/></actuator>
-  <sensor><jointpos name="q1" joint="j1"/><jointpos name="q2" joint="j2"/></sensor>
-</mujoco>"""
+        joint = 'name="j2" axis="0 1 0" armature="0.01"'
+        lower = link("l2", "0 0 -0.3", "0 0 -0.12", b, (0.0075 * b, 0.0075 * b, 0.0005), joint)
+        joint = 'name="j1" axis="0 1 0" armature="0.02"'
+        upper = link("l1", "0 0 0", "0 0 -0.15", a, (0.01 * a, 0.01 * a, 0.001), joint, lower)
+        motors, sensors = [("m1", "j1"), ("m2", "j2")], [("q1", "j1"), ("q2", "j2")]
+        return document("bare", 0.00025, upper, motors, sensors)
 
     def trial(self, rng, i):
         wanted = sines(rng, [0.7, 0.8], (0.1, 1.2), 6)
