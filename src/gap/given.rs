@@ -64,11 +64,13 @@ pub fn with_effects(
     }))
 }
 
-/// Places by name; the two joints of a coupling in either order.
+/// Places by name; the two joints of a coupling in either order, and a contact of two geoms by one of them.
 pub fn is_place(a: &str, b: &str) -> bool {
     a == b
         || match (a.split_once('+'), b.split_once('+')) {
             (Some((a, b)), Some((c, d))) => (a, b) == (d, c),
-            _ => false,
+            (Some((c, d)), None) => b == c || b == d,
+            (None, Some((c, d))) => a == c || a == d,
+            (None, None) => false,
         }
 }

@@ -18,6 +18,7 @@ use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::islands::{Partition, is_shown};
 use crate::sysid::problem::Problem;
+use crate::sysid::reach::Contacts;
 use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::loops::Loops;
 use crate::sysid::shooting::simulate::{Pool, Simulated};
@@ -66,6 +67,8 @@ pub(super) struct Linear {
     pub rows: Vec<Row>,
     /// parts that nothing connects in any window
     pub partition: Partition,
+    /// geoms that touch in some window
+    pub contacts: Contacts,
 }
 
 /// What a change of the model does to the rows of every window, and its squared length before projection.
@@ -163,6 +166,7 @@ impl Windows {
         }
         Ok(Linear {
             partition: Partition::new(&self.problem, &contacts),
+            contacts,
             steps: factor,
             windows,
             placed,

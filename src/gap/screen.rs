@@ -110,7 +110,7 @@ impl Look<'_> {
         let prior: Vec<(f64, f64)> = parameters.prior_slopes(self.x).collect();
         let all: Vec<(&'static dyn Effect, Place)> = effect::candidates(&self.base.model)
             .into_iter()
-            .filter(|(e, p)| self.may_act(*e, p))
+            .filter(|(e, p)| self.may_act(*e, p) && p.may_touch(&self.base.model, &linear.contacts))
             .collect();
         let normal = with_priors(&linear, &prior);
         let absorb = Absorb::new(&normal.0, parameters, self.x);

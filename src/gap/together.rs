@@ -178,7 +178,11 @@ fn reached(model: &Model, partition: &Partition, place: &Place) -> Shows {
         _ => bodies.push(place.body(model)?),
     }
     if let Some(other) = &place.with {
-        bodies.push(Place::at(PlaceKind::Joint, other).body(model)?);
+        let other = match place.kind {
+            PlaceKind::Geom => Place::at(PlaceKind::Geom, other),
+            _ => Place::at(PlaceKind::Joint, other),
+        };
+        bodies.push(other.body(model)?);
     }
     let all: BTreeSet<usize> = (bodies.iter())
         .flat_map(|b| &partition.bodies[*b])

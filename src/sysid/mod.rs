@@ -52,7 +52,7 @@ mod pose;
 pub mod predict;
 mod prior;
 pub mod problem;
-mod reach;
+pub(crate) mod reach;
 pub mod rollouts;
 mod rows;
 mod rule;

@@ -75,7 +75,7 @@ fn depth(model: &ModelFile) -> f64 {
 fn sliding_friction_slows_a_block() {
     for pair in [true, false] {
         let base = block(pair, "elliptic", BOX);
-        let place = if pair { "p" } else { "block" };
+        let place = if pair { "p" } else { "block+table" };
         for share in [0.5, -0.5] {
             let changed = with(&base, "contact_friction", place, &[share]).file;
             for (model, expected) in [(&base, 0.4), (&changed, 0.4 * (1.0 + share))] {
@@ -89,16 +89,33 @@ fn sliding_friction_slows_a_block() {
     }
 }
 
+/// The block's own friction was changed, and put above the table's, however little the effect was.
+#[test]
+fn friction_that_the_other_geom_decides_is_changed_too() {
+    let own = block(false, "elliptic", BOX).xml;
+    let base = file(&own.replace(
+        r#"name="table""#,
+        r#"name="table" priority="1" friction="0.7 0.005 0.0001""#,
+    ));
+    for share in [1e-6, 0.3] {
+        let changed = with(&base, "contact_friction", "block+table", &[share]).file;
+        let found = friction(&changed, &[0], 0.5, 2.0) / 0.7 - 1.0;
+        assert!((found - share).abs() < 1e-3, "{share}: {found}");
+    }
+}
+
 #[test]
 fn anisotropic_friction_slows_one_way() {
-    let base = block(true, "elliptic", BOX);
-    let changed = with(&base, "anisotropic_friction", "p", &[-0.6]).file;
-    let [x, y] = [0, 1].map(|dof| friction(&changed, &[dof], 0.5, 2.0) / 0.4);
-    let (least, most) = (x.min(y), x.max(y));
-    assert!(
-        (least - 0.4).abs() < 0.02 && (most - 1.0).abs() < 0.02,
-        "{x} {y}"
-    );
+    for (pair, place) in [(true, "p"), (false, "block+table")] {
+        let base = block(pair, "elliptic", BOX);
+        let changed = with(&base, "anisotropic_friction", place, &[-0.6]).file;
+        let [x, y] = [0, 1].map(|dof| friction(&changed, &[dof], 0.5, 2.0) / 0.4);
+        let (least, most) = (x.min(y), x.max(y));
+        assert!(
+            (least - 0.4).abs() < 0.02 && (most - 1.0).abs() < 0.02,
+            "{x} {y}"
+        );
+    }
 }
 
 #[test]
@@ -124,7 +141,7 @@ fn torsional_friction_slows_spin() {
         (false, "pyramidal", Form::Supplement),
     ] {
         let base = block(pair, cone, BALL);
-        let place = if pair { "p" } else { "block" };
+        let place = if pair { "p" } else { "block+table" };
         let written = with(&base, "torsional_friction", place, &[0.002, 0.1]);
         assert_eq!(written.form, form, "{pair} {cone}");
         let inertia = 0.4 * 0.5 * 0.05 * 0.05;
@@ -143,7 +160,7 @@ fn torsional_friction_slows_spin() {
 fn stiffness_and_damping_of_a_contact() {
     for pair in [true, false] {
         let base = block(pair, "elliptic", BOX);
-        let place = if pair { "p" } else { "block" };
+        let place = if pair { "p" } else { "block+table" };
         let harder = with(&base, "contact_stiffness", place, &[1.0]).file;
         let ratio = depth(&base) / depth(&harder);
         assert!((ratio - 2.0).abs() < 0.02, "{pair}: {ratio}");
@@ -279,10 +296,8 @@ fn places_are_where_an_effect_can_act() {
     assert_eq!(names("link_mass"), ["link", "tip"]);
     assert_eq!(names("length_scale"), ["tip", "cube"]);
     assert_eq!(names("fingertip_radius"), ["tip"]);
-    assert_eq!(names("contact_friction"), ["tip", "cube"]);
-    assert!(
-        names("anisotropic_friction").is_empty(),
-        "only pairs have it"
-    );
+    let touching = ["tip+table", "cube+table", "tip+cube"];
+    assert_eq!(names("contact_friction"), touching);
+    assert_eq!(names("anisotropic_friction"), touching);
     assert!(names("torque_gain").is_empty() && names("force_sensor_bias").is_empty());
 }

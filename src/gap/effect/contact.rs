@@ -1,42 +1,58 @@
 //! Contacts: friction, softness, shape.
 //!
-//! A model with explicit contact pairs says it there. In others the moving geoms that can touch get their own contact
-//! parameters, by a `priority` above those they touch.
+//! A model with explicit contact pairs says it there. Geoms that touch without one get one ([`super::couple`]).
 
-use super::place::{Site, contacts, pairs, touches};
+use super::couple;
+use super::place::{Site, contacts};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, PlaceKind, Role,
     Shows, Sign,
 };
 use crate::mjcf::structure::Change;
-use crate::mujoco::{Cone, Model};
+use crate::mujoco::{Cone, Model, ObjectKind};
 
 /// Spin at which torsional friction is nearly whole, rad/s.
 const SPIN: f64 = 0.1;
 
-/// The element of a contact, and what makes a geom's own parameters count.
-pub(super) fn contact(site: &Site<'_>) -> (String, Vec<Change>) {
+/// A contact's pair, and what makes it where there is none.
+pub(super) fn contact(site: &Site<'_>) -> Result<(String, Vec<Change>), String> {
     let name = &site.place.name;
     if site.place.kind == PlaceKind::Pair {
-        return (format!("pair/{name}"), Vec::new());
+        return Ok((name.clone(), Vec::new()));
     }
-    let most = site
-        .model
-        .geom_priority()
-        .iter()
-        .max()
-        .copied()
-        .unwrap_or(0);
-    let mut changes = Vec::new();
-    if site.model.geom_priority()[site.id] < most || most == 0 {
-        changes.push(Change::Attribute {
-            kind: "geom",
-            element: name.clone(),
-            attribute: "priority",
-            value: format!("{}", most + 1),
-        });
-    }
-    (format!("geom/{name}"), changes)
+    let other = site.place.with.as_deref().unwrap_or_default();
+    let other = (site.model.id(ObjectKind::Geom, other)).map_err(|e| e.to_string())?;
+    let (name, change) = couple::pair(site.model, site.id, other)?;
+    Ok((name, change.into_iter().collect()))
+}
+
+/// A number of a contact's pair times 1 + share.
+pub(super) fn share(
+    site: &Site<'_>,
+    attribute: &'static str,
+    component: usize,
+) -> Result<Expression, String> {
+    let (pair, changes) = contact(site)?;
+    let element = format!("pair/{pair}");
+    Ok(Expression {
+        changes,
+        numbers: vec![Number::Share {
+            element,
+            attribute,
+            component,
+        }],
+        supplement: None,
+    })
+}
+
+/// Contacts of so many dimensions.
+fn of_dimension(model: &Model, keep: impl Fn(i32) -> bool) -> Vec<Place> {
+    let kept = |place: &Place| match Site::new(model, place) {
+        Ok(site) if place.kind == PlaceKind::Pair => keep(model.pair_dim()[site.id]),
+        Ok(site) => couple::dimension(&site).is_some_and(&keep),
+        Err(_) => false,
+    };
+    contacts(model).into_iter().filter(kept).collect()
 }
 
 /// Sliding friction more or less than in the model.
@@ -79,27 +95,7 @@ impl Effect for ContactFriction {
     }
 
     fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
-        let (element, changes) = contact(site);
-        if site.place.kind == PlaceKind::Pair {
-            let before = site.model.pair_friction()[5 * site.id];
-            let numbers = vec![Number::affine(element, "slide", 0, before, before)];
-            return Ok(Expression {
-                changes,
-                numbers,
-                supplement: None,
-            });
-        }
-        // two geoms share the greater of their coefficients
-        let others = (0..site.model.ngeom()).filter(|g| touches(site.model, *g));
-        let before = others
-            .map(|g| site.model.geom_friction()[3 * g])
-            .fold(0.0, f64::max);
-        let numbers = vec![Number::affine(element, "friction", 0, before, before)];
-        Ok(Expression {
-            changes,
-            numbers,
-            supplement: None,
-        })
+        share(site, "slide", 0)
     }
 }
 
@@ -135,15 +131,11 @@ impl Effect for AnisotropicFriction {
     }
 
     fn places(&self, model: &Model) -> Vec<Place> {
-        pairs(model, |p| model.pair_dim()[p] >= 3)
+        of_dimension(model, |dimension| dimension >= 3)
     }
 
     fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
-        let before = site.model.pair_friction()[5 * site.id + 1];
-        let element = format!("pair/{}", site.place.name);
-        Ok(Expression::of(vec![Number::affine(
-            element, "friction", 1, before, before,
-        )]))
+        share(site, "friction", 1)
     }
 }
 
@@ -178,37 +170,27 @@ impl Effect for TorsionalFriction {
     }
 
     fn places(&self, model: &Model) -> Vec<Place> {
-        let without = |place: &Place| match Site::new(model, place) {
-            Ok(site) if place.kind == PlaceKind::Pair => model.pair_dim()[site.id] == 3,
-            Ok(site) => model.geom_condim()[site.id] == 3,
-            Err(_) => false,
-        };
-        contacts(model).into_iter().filter(without).collect()
+        of_dimension(model, |dimension| dimension == 3)
     }
 
     /// `condim` 4 with elliptic cones. With pyramidal ones it would also make the contact stiffer, by the two edges that
     /// the pyramid gets: there a supplement.
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
+        let (pair, mut changes) = contact(site)?;
         if site.model.option().cone == Cone::Pyramidal {
-            return Ok(Expression::supplement(
-                "torsional_friction",
-                &site.place.name,
-                values,
-            ));
+            return Ok(Expression {
+                changes,
+                ..Expression::supplement("torsional_friction", &pair, values)
+            });
         }
-        let (element, mut changes) = contact(site);
-        let (kind, component) = if site.place.kind == PlaceKind::Pair {
-            ("pair", 2)
-        } else {
-            ("geom", 1)
-        };
         changes.push(Change::Attribute {
-            kind,
-            element: site.place.name.clone(),
+            kind: "pair",
+            element: pair.clone(),
             attribute: "condim",
             value: "4".to_owned(),
         });
-        let numbers = vec![Number::is(element, "friction", component), Number::Fixed];
+        let element = format!("pair/{pair}");
+        let numbers = vec![Number::is(element, "friction", 2), Number::Fixed];
         Ok(Expression {
             changes,
             numbers,

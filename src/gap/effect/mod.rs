@@ -14,6 +14,7 @@
 
 mod body;
 mod contact;
+mod couple;
 mod drag;
 mod drive;
 mod friction;

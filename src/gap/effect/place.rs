@@ -5,6 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::mujoco::{Measures, Model, ObjectKind};
+use crate::sysid::reach::Contacts;
 
 /// Numbers a row of `actuator_gainprm` and `actuator_biasprm`.
 pub(super) const N_PRM: usize = 10;
@@ -35,7 +36,7 @@ pub struct Place {
     pub kind: PlaceKind,
     /// empty for the world
     pub name: String,
-    /// the other joint of a coupling
+    /// the other joint of a coupling, the other geom of a contact
     pub with: Option<String>,
 }
 
@@ -80,6 +81,16 @@ impl Place {
             PlaceKind::Geom => Some(model.geom_bodyid()[self.id(model)?] as usize),
             _ => Some(model.jnt_bodyid()[self.joint(model)?] as usize),
         }
+    }
+
+    /// Whether the geoms of a contact are among `touching`; `true` for what is no contact of two geoms.
+    pub(in crate::gap) fn may_touch(&self, model: &Model, touching: &Contacts) -> bool {
+        let (PlaceKind::Geom, Some(other)) = (self.kind, &self.with) else {
+            return true;
+        };
+        let ids = [&self.name, other].map(|g| model.id(ObjectKind::Geom, g));
+        let [Ok(a), Ok(b)] = ids else { return false };
+        touching.contains(&[a, b]) || touching.contains(&[b, a])
     }
 
     /// The unit of a sensor.
@@ -238,11 +249,6 @@ pub(super) fn bodies_that(model: &Model, keep: impl Fn(usize) -> bool) -> Vec<Pl
     named(model, PlaceKind::Body, |b| b > 0 && keep(b))
 }
 
-/// Contact pairs that `keep` keeps.
-pub(super) fn pairs(model: &Model, keep: impl Fn(usize) -> bool) -> Vec<Place> {
-    named(model, PlaceKind::Pair, keep)
-}
-
 /// Geoms that `keep` keeps.
 pub(super) fn geoms(model: &Model, keep: impl Fn(usize) -> bool) -> Vec<Place> {
     named(model, PlaceKind::Geom, keep)
@@ -260,12 +266,11 @@ pub(super) fn moves(model: &Model, geom: usize) -> bool {
     model.body_weldid()[model.geom_bodyid()[geom] as usize] != 0
 }
 
-/// Contacts that can be changed: pairs, or without any the moving geoms that may touch.
+/// Contacts that can be changed: pairs, and geoms that may touch without one.
 pub(super) fn contacts(model: &Model) -> Vec<Place> {
-    if model.npair() > 0 {
-        return pairs(model, |_| true);
-    }
-    geoms(model, |g| touches(model, g) && moves(model, g))
+    let mut out = named(model, PlaceKind::Pair, |_| true);
+    out.extend(super::couple::couples(model));
+    out
 }
 
 /// Force and torque sensors.

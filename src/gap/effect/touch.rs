@@ -1,53 +1,9 @@
 //! Softness of contacts, and how thick what touches is.
 
-use super::contact::contact;
+use super::contact::share;
 use super::place::{Site, contacts, geoms, is_free, moves, touches};
-use super::{
-    About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, PlaceKind, Shows,
-};
-use crate::mjcf::structure::Change;
+use super::{About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows};
 use crate::mujoco::Model;
-
-/// Stiffness and damping of a contact as numbers of the model, one of them times 1 + value.
-fn softness(site: &Site<'_>, which: usize) -> Expression {
-    let (element, mut changes) = contact(site);
-    if site.place.kind == PlaceKind::Pair {
-        let (stiffness, damping) = crate::mjcf::edit::contact(site.model, site.id);
-        let before = [stiffness, damping][which];
-        let attribute = ["stiffness", "damping"][which];
-        let numbers = vec![Number::affine(element, attribute, 0, before, before)];
-        return Expression {
-            changes,
-            numbers,
-            supplement: None,
-        };
-    }
-    // (−stiffness, −damping), the engine's direct form of the same law, in which one changes without the other
-    let solref = &site.model.geom_solref()[2 * site.id..2 * site.id + 2];
-    let direct = if solref[0] > 0.0 {
-        [-1.0 / (solref[0] * solref[1]).powi(2), -2.0 / solref[0]]
-    } else {
-        [solref[0], solref[1]]
-    };
-    changes.push(Change::Attribute {
-        kind: "geom",
-        element: site.place.name.clone(),
-        attribute: "solref",
-        value: format!("{} {}", direct[0], direct[1]),
-    });
-    let numbers = vec![Number::affine(
-        element,
-        "solref",
-        which,
-        direct[which],
-        direct[which],
-    )];
-    Expression {
-        changes,
-        numbers,
-        supplement: None,
-    }
-}
 
 /// A contact harder or softer than in the model.
 #[derive(Debug)]
@@ -89,7 +45,7 @@ impl Effect for ContactStiffness {
     }
 
     fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
-        Ok(softness(site, 0))
+        share(site, "stiffness", 0)
     }
 }
 
@@ -125,7 +81,7 @@ impl Effect for ContactDamping {
     }
 
     fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
-        Ok(softness(site, 1))
+        share(site, "damping", 0)
     }
 }
 

@@ -100,6 +100,15 @@ pub enum Number {
         /// its least value
         least: f64,
     },
+    /// a number of the model, by address, times 1 + value
+    Share {
+        /// `kind/name`
+        element: String,
+        /// see [`crate::mjcf::attribute`]
+        attribute: &'static str,
+        /// its component
+        component: usize,
+    },
     /// this number of the supplement
     Custom(usize),
     /// in the structure of the file
@@ -258,29 +267,39 @@ pub fn write(
     let structured = ModelFile::of_text(structure::change(&base.xml, &changes)?, &base.path)?;
     let mut targets: Vec<(usize, Target, f64, f64)> = Vec::new(); // parameter, number, its value, slope
     for (i, (number, &value)) in numbers.iter().zip(values).enumerate() {
-        let (element, attribute, component, wanted, slope) = match number {
+        let (element, attribute, component) = match number {
             Number::Fixed => continue,
             Number::Custom(j) => {
                 let name = custom.as_deref().unwrap_or_default();
-                (format!("custom/{name}"), "data", *j, value, 1.0)
+                (&format!("custom/{name}"), "data", *j)
             }
             Number::Of {
                 element,
                 attribute,
                 component,
+                ..
+            }
+            | Number::Share {
+                element,
+                attribute,
+                component,
+            } => (element, *attribute, *component),
+        };
+        let target =
+            attribute::resolve(&structured.model, element, attribute, &[component])?.remove(0);
+        let (wanted, slope) = match number {
+            Number::Of {
                 origin,
                 slope,
                 least,
-            } => (
-                element.clone(),
-                *attribute,
-                *component,
-                (origin + slope * value).max(*least),
-                *slope,
-            ),
+                ..
+            } => ((origin + slope * value).max(*least), *slope),
+            Number::Share { .. } => {
+                let before = target.value(&structured.model);
+                (before * (1.0 + value), before)
+            }
+            Number::Fixed | Number::Custom(_) => (value, 1.0),
         };
-        let target =
-            attribute::resolve(&structured.model, &element, attribute, &[component])?.remove(0);
         targets.push((i, target, wanted, slope));
     }
     let file = with_numbers(&structured, &targets)?;
