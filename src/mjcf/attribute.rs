@@ -348,6 +348,7 @@ fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<&'s
         ("body", "length") if norm(&model.body_pos()[3 * id..3 * id + 3]) == 0.0 => {
             Some("is where its parent is")
         }
+        ("body", "geometry") if id == 0 => Some("is the world, which no file has as a body"),
         ("body", "geometry")
             if !body_geoms(model, id).all(|g| bounding_radius(model, g).is_some()) =>
         {
@@ -357,7 +358,9 @@ fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<&'s
         ("actuator", "forcelimit") if model.actuator_forcelimited()[id] == 0 => {
             Some("has no limited force")
         }
-        ("body", "mass" | "inertia") if model.body_mass()[id] <= 0.0 => Some("has no mass"),
+        ("body", "mass" | "inertia" | "ipos") if model.body_mass()[id] <= 0.0 => {
+            Some("has no mass")
+        }
         ("joint", "springref") if !scalar(id) => Some("is not a hinge or slide"),
         ("joint", "solreffriction" | "solimpfriction") if !scalar(id) => {
             Some("has several degrees of freedom")

@@ -29,6 +29,18 @@ fn close(a: &[f64], b: &[f64], tolerance: f64, what: &str) {
     }
 }
 
+/// A search had gone on for minutes before its model could not be written: the world has no element in a file.
+#[test]
+fn globs_of_bodies_do_not_mean_the_world() {
+    let model = phantom_model();
+    for attribute in ATTRIBUTES.iter().filter(|a| a.kind == "body") {
+        let found = resolve(&model, "body/*", attribute.name, &[]).expect("bodies");
+        assert!(found.iter().all(|t| t.id > 0), "{}", attribute.name);
+        let error = resolve(&model, "body/world", attribute.name, &[]);
+        assert!(error.is_err(), "{}", attribute.name);
+    }
+}
+
 /// Every kind of parameter of the shipped model: written to the text and loaded, it is the model it was edited to.
 #[test]
 fn text_and_compiled_model_agree() {
