@@ -54,24 +54,15 @@ impl Windows {
         }
         held.states = here.iter().map(|f| f.state.clone()).collect();
         let mut damping = vec![FIRST_DAMPING; here.len()];
-        // derivatives of a window serve until it moves
-        let mut rows: Vec<Option<Row>> = here.iter().map(|_| None).collect();
         for _ in 0..STEPS {
-            let moved: Vec<usize> = (left.iter().copied())
-                .filter(|&w| rows[w].is_none())
-                .collect();
-            if !moved.is_empty() {
-                let Ok(linear) = held.only(&moved).linearise(&[]) else {
-                    return;
-                };
-                for (w, row) in moved.into_iter().zip(linear.rows) {
-                    rows[w] = Some(row);
-                }
-            }
-            let mut states = held.states.clone();
+            let some = held.only(&left);
+            let Ok(linear) = some.linearise(&[]) else {
+                return;
+            };
+            let mut states = some.states.clone();
             let mut tried: Vec<usize> = Vec::new();
-            for &w in &left {
-                let Some(row) = &rows[w] else { continue };
+            for (k, &w) in left.iter().enumerate() {
+                let row = &linear.rows[k];
                 let along = left_in(row, &here[w]);
                 let own = damped(&row.triangle, &along, damping[w]);
                 let rest = &along + &row.triangle * &own;
@@ -80,34 +71,38 @@ impl Windows {
                 }
                 // a step may leave what the engine accepts: then it is none
                 let ds = row.change(own);
-                let Ok(state) = here[w].state.moved(&held.problem, ds.as_slice()) else {
+                let Ok(state) = here[w].state.moved(&some.problem, ds.as_slice()) else {
                     continue;
                 };
-                states[w] = state;
-                tried.push(w);
+                states[k] = state;
+                tried.push(k);
             }
             if tried.is_empty() {
                 break;
             }
-            let Ok(found) = held.simulate_some(&[], &states, &tried) else {
+            let Ok(found) = some.simulate_some(&[], &states, &tried) else {
                 return;
             };
-            left.clear();
-            for (w, found) in tried.into_iter().zip(found) {
+            let mut next = Vec::new();
+            for (&k, found) in tried.iter().zip(found) {
+                let w = left[k];
                 match found {
                     Some(found) if found.cost < here[w].cost => {
-                        left.push(w);
                         held.states[w] = found.state.clone();
                         here[w] = found;
-                        rows[w] = None;
                         damping[w] = (damping[w] * 0.1).max(LEAST_DAMPING);
+                        next.push(w);
                     }
                     _ if damping[w] < MOST_DAMPING => {
                         damping[w] *= 100.0;
-                        left.push(w);
+                        next.push(w);
                     }
                     _ => {}
                 }
+            }
+            left = next;
+            if left.is_empty() {
+                break;
             }
         }
     }
