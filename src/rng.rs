@@ -33,6 +33,8 @@ pub enum Purpose {
     Excitation = 8,
     /// Draws from the posterior of identified parameters.
     Posterior = 9,
+    /// A swarm of simulations: how it begins, is drawn and moved.
+    Swarm = 10,
 }
 
 /// The stream of (`seed`, `purpose`, `iteration`, `index`).

@@ -180,6 +180,7 @@ impl Windows {
                 level: 0.0,
                 cost,
                 damping: 0.0,
+                horizon_s: None,
                 step: taken.part * step.dx.iter().fold(0.0_f64, |m, d| m.max(d.abs())),
                 x: x.clone(),
             };

@@ -45,6 +45,7 @@ impl Solver<'_> {
             negative_log_evidence,
             level,
             force_sigma,
+            horizon_s: None,
             status,
             history: Vec::new(),
             innovations: self.innovations(&arrows),

@@ -51,6 +51,12 @@ pub fn sentences(summary: &Summary) -> Vec<String> {
         Status::MaxIterations => format!("Did not converge within {last} iterations."),
         Status::Interrupted => format!("Interrupted after {last} iterations; best so far."),
     }];
+    lines.extend(summary.horizon_s.map(|horizon| {
+        format!(
+            "It comes from the first {} s of each recording: simulations of more part from each other.",
+            number(horizon)
+        )
+    }));
     lines.push(match &summary.holdout {
         None if summary.status == Status::Interrupted => {
             "Not tested: it was interrupted before held-out recordings had their turn.".to_owned()

@@ -46,7 +46,9 @@ pub struct Iteration {
     pub cost: f64,
     /// damping it was taken with
     pub damping: f64,
-    /// largest change of a parameter's x
+    /// seconds of the recordings that it sees, where that is less than all
+    pub horizon_s: Option<f64>,
+    /// largest change of a parameter's x; of a swarm: largest spread of one, in its size
     pub step: f64,
     /// free parameters after it
     pub x: Vec<f64>,
@@ -78,6 +80,8 @@ pub struct Fit {
     pub level: f64,
     /// (nv) its standard deviation
     pub force_sigma: Vec<f64>,
+    /// seconds of each recording that it comes from, where that is less than all
+    pub horizon_s: Option<f64>,
     /// why it stopped
     pub status: Status,
     /// what happened

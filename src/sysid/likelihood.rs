@@ -189,6 +189,7 @@ impl Likelihood<'_> {
                 level,
                 cost: pass.nll,
                 damping,
+                horizon_s: None,
                 step,
                 x: x.clone(),
             });

@@ -6,10 +6,14 @@ use super::joint::{self, JointSettings};
 use super::predict::{self, Explained};
 use super::problem::Problem;
 use super::rollouts::{self, RolloutSettings};
+use super::sequential::{self, SequentialSettings};
 use super::shooting::{self, ShootingSettings};
 
 /// Relative decrease of the cost below which windows of which only the first states are unknown have converged.
 const MOTION_TOLERANCE: f64 = 1e-4;
+
+/// Length of windows in which held-out recordings are explained, as a part of the horizon of a swarm.
+const PART: f64 = 0.25;
 
 /// How to solve a problem.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,6 +24,8 @@ pub enum Method {
     Shooting(ShootingSettings),
     /// rollouts from recorded states are compared with the recordings, and parameters searched without slopes
     Rollout(RolloutSettings),
+    /// a swarm of simulations sees more and more of the recordings
+    Sequential(SequentialSettings),
 }
 
 impl Method {
@@ -29,7 +35,7 @@ impl Method {
     /// The first.
     pub fn fits(&self, problem: &Problem) -> Result<(), SysidError> {
         match self {
-            Self::Joint(_) | Self::Rollout(_) => Ok(()),
+            Self::Joint(_) | Self::Rollout(_) | Self::Sequential(_) => Ok(()),
             Self::Shooting(settings) => settings.fits(problem),
         }
     }
@@ -48,6 +54,7 @@ impl Method {
             Self::Joint(settings) => joint::solve(problem, settings, start, watch),
             Self::Shooting(settings) => shooting::solve(problem, settings, start, watch),
             Self::Rollout(settings) => rollouts::solve(problem, settings, start, watch),
+            Self::Sequential(settings) => sequential::solve(problem, settings, start, watch),
         }
     }
 
@@ -66,6 +73,11 @@ impl Method {
                     ..settings.clone()
                 })
             }
+            // how long windows may be, the swarm has found out
+            Self::Sequential(_) => Self::Shooting(ShootingSettings {
+                window_s: fit.horizon_s.map_or(f64::INFINITY, |s| PART * s),
+                ..ShootingSettings::default()
+            }),
             Self::Shooting(_) | Self::Rollout(_) => self.clone(),
         }
     }
@@ -87,7 +99,7 @@ impl Method {
     /// The engine refuses a number.
     pub fn explain(&self, problem: &Problem, fit: &Fit) -> Result<Vec<Explained>, SysidError> {
         let mut explained = predict::explain(problem, &fit.x, &fit.trajectories)?;
-        if let Self::Shooting(_) | Self::Rollout(_) = self {
+        if let Self::Shooting(_) | Self::Rollout(_) | Self::Sequential(_) = self {
             // windows and rollouts obey the model; what inverse dynamics would make of the jumps between them is no force
             for trial in &mut explained {
                 trial.force.fill(0.0);

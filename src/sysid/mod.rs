@@ -57,6 +57,7 @@ pub mod rollouts;
 mod rows;
 mod rule;
 mod separate;
+pub mod sequential;
 pub mod shooting;
 mod smooth;
 pub(crate) mod start;

@@ -189,6 +189,7 @@ impl<'a> Solver<'a> {
                 level,
                 cost,
                 damping: self.damping,
+                horizon_s: None,
                 step: largest,
                 x: self.x.clone(),
             };

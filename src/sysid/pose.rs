@@ -14,7 +14,7 @@ const STAY: f64 = 1e-4;
 const EQUALITY_SIGMA: f64 = 1e-5;
 const STEP: f64 = 1e-6;
 /// How far a position may be from the model's own where nothing measures it, m or rad.
-const UNKNOWN_SIGMA: f64 = 1e-2;
+pub(super) const UNKNOWN_SIGMA: f64 = 1e-2;
 
 /// A position being fitted to sensor values.
 pub(super) struct Pose<'a> {
@@ -92,6 +92,19 @@ impl<'a> Pose<'a> {
             jacobian.transpose() * jacobian + DMatrix::identity(nv, nv) * UNKNOWN_SIGMA.powi(-2);
         let unknown = || DMatrix::identity(nv, nv) * UNKNOWN_SIGMA.powi(2);
         Ok(information.cholesky().map_or_else(unknown, |c| c.inverse()))
+    }
+
+    /// Whitened derivatives (channels × nv) of `channels` at `qpos`.
+    pub(super) fn sensitivity(
+        &mut self,
+        qpos: &[f64],
+        channels: &[usize],
+    ) -> Result<DMatrix<f64>, SysidError> {
+        self.data.qpos_mut().copy_from_slice(qpos);
+        let goals: Vec<(usize, f64)> = channels.iter().map(|&c| (c, 0.0)).collect();
+        let base = self.residual(&goals)?;
+        let jacobian = self.jacobian(&base, &goals)?;
+        Ok(jacobian.rows(0, channels.len()).into_owned())
     }
 
     /// Moves the position to where sensors have the values `goals`.

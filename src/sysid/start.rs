@@ -95,7 +95,7 @@ pub(super) fn contact(
 }
 
 /// How fast errors of a first position may change, 1/s: what its velocity is not known by.
-const RATE: f64 = 30.0;
+pub(super) const RATE: f64 = 30.0;
 
 /// What is known of the state at the beginning of a trial.
 #[derive(Debug, Clone)]

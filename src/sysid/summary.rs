@@ -78,6 +78,8 @@ pub struct Summary {
     pub cost: f64,
     /// unexplained force, as a part of the forces
     pub level: f64,
+    /// seconds of each recording that the estimate comes from; none: all
+    pub horizon_s: Option<f64>,
     /// recordings
     pub recordings: Vec<Used>,
     /// what to know of them
@@ -137,6 +139,7 @@ impl Outcome {
             status: fit.status,
             cost: fit.cost,
             level: fit.level,
+            horizon_s: fit.horizon_s,
             recordings,
             notes: problem.notes.clone(),
             parameters: posterior.estimates.clone(),

@@ -14,4 +14,5 @@ mod late;
 mod mjcf;
 mod push;
 mod rollouts;
+mod sequential;
 mod simulate;

@@ -6,9 +6,11 @@ use phantom::mujoco::{Data, Model};
 use phantom::recording::{Channel, Kind, Recording, Stream};
 use phantom::rng::{self, Purpose};
 use phantom::sysid::joint::{Fit, JointSettings, Start, solve};
+use phantom::sysid::method::Method;
 use phantom::sysid::norm::Norm;
 use phantom::sysid::parameter::ParameterRule;
 use phantom::sysid::problem::{ChannelRule, CommandTiming, Problem, ProblemConfig};
+use phantom::sysid::sequential::SequentialSettings;
 
 use crate::simulate::simulate;
 
@@ -104,14 +106,31 @@ fn config(sigma: f64) -> ProblemConfig {
     }
 }
 
-fn identify(problem: &Problem, x: Vec<f64>) -> Fit {
+fn identify(problem: &Problem, method: &Method, x: Vec<f64>) -> Fit {
     let start = Start {
         x,
         trajectories: None,
         force_scale: None,
     };
-    let settings = JointSettings::default();
-    solve(problem, &settings, &start, &mut |_| true).expect("solved")
+    method
+        .solve(problem, &start, &mut |_| true)
+        .expect("solved")
+}
+
+fn joint(_: u64) -> Method {
+    Method::Joint(JointSettings::default())
+}
+
+/// With the knowledge that the recording begins at rest, which a single simulation of it needs, too.
+fn sequential(n_chains: usize) -> impl Fn(u64) -> Method {
+    move |seed| {
+        Method::Sequential(SequentialSettings {
+            n_chains,
+            at_rest: true,
+            seed,
+            ..SequentialSettings::default()
+        })
+    }
 }
 
 fn random_start(i: u64) -> Vec<f64> {
@@ -121,22 +140,29 @@ fn random_start(i: u64) -> Vec<f64> {
         .to_vec()
 }
 
-/// Number of starts out of `n` that end within `tolerance` of the truth.
-fn successes(noise_m: f64, sigma: f64, tolerance: f64, n: u64) -> u64 {
-    let (model, recording) = pushed(noise_m, 3);
+/// Number of starts out of `n` that end within `tolerance` of the truth, by `method` of a seed.
+fn successes(
+    method: &dyn Fn(u64) -> Method,
+    (noise_m, draw): (f64, u64),
+    sigma: f64,
+    tolerance: f64,
+    n: u64,
+) -> u64 {
+    let (model, recording) = pushed(noise_m, draw);
     let problem = Problem::new(model, &config(sigma), &[("push".into(), recording)]).expect("fits");
     let mut good = 0;
     for i in 0..n {
         let began = std::time::Instant::now();
-        let fit = identify(&problem, random_start(i));
+        let fit = identify(&problem, &method(i), random_start(i));
         let worst = (fit.x.iter().zip(TRUTH))
             .map(|(x, t)| (x.exp() / t - 1.0).abs())
             .fold(0.0, f64::max);
         let values: Vec<f64> = fit.x.iter().map(|x| x.exp()).collect();
         println!(
-            "start {i}: {values:.4?} worst {:.2} %, level {:.0e}, {:?}, {:.1} s, nle {:.1}",
+            "start {i}: {values:.4?} worst {:.2} %, level {:.0e}, first {:.3?} s, {:?}, {:.1} s, nle {:.1}",
             100.0 * worst,
             fit.level,
+            fit.horizon_s,
             fit.status,
             began.elapsed().as_secs_f64(),
             fit.negative_log_evidence
@@ -148,21 +174,41 @@ fn successes(noise_m: f64, sigma: f64, tolerance: f64, n: u64) -> u64 {
 
 #[test]
 fn push_task_from_a_random_start() {
-    assert_eq!(successes(0.0, 1e-6, 0.02, 1), 1);
+    assert_eq!(successes(&joint, (0.0, 3), 1e-6, 0.02, 1), 1);
 }
 
 /// `cargo test --release --test sysid -- --ignored push_task --nocapture`
 #[test]
 #[ignore = "half a minute or more"]
 fn push_task_from_sixteen_random_starts() {
-    assert_eq!(successes(0.0, 1e-6, 0.02, 16), 16);
+    assert_eq!(successes(&joint, (0.0, 3), 1e-6, 0.02, 16), 16);
 }
 
 /// As above, with half a millimetre of noise on every position.
 #[test]
 #[ignore = "half a minute or more"]
 fn push_task_with_noise_from_sixteen_random_starts() {
-    assert_eq!(successes(5e-4, 5e-4, 0.10, 16), 16);
+    assert_eq!(successes(&joint, (5e-4, 3), 5e-4, 0.10, 16), 16);
+}
+
+#[test]
+fn push_task_at_rest_from_a_random_start() {
+    assert_eq!(successes(&sequential(20), (0.0, 3), 1e-6, 0.02, 1), 1);
+}
+
+/// `cargo test --release --test sysid -- --ignored push_task_at_rest --nocapture`
+#[test]
+#[ignore = "minutes"]
+fn push_task_at_rest_from_sixteen_random_starts() {
+    assert_eq!(successes(&sequential(100), (0.0, 3), 1e-6, 0.02, 16), 16);
+}
+
+/// As above, with half a millimetre of noise on every position; four draws of it.
+#[test]
+#[ignore = "an hour"]
+fn push_task_at_rest_with_noise() {
+    let good = |draw| successes(&sequential(100), (5e-4, draw), 5e-4, 0.10, 4);
+    assert_eq!([3, 4, 5, 6].map(good), [4; 4]);
 }
 
 /// What the likelihood of one recording with half a millimetre of noise can tell, level by level of unexplained force,

@@ -11,6 +11,7 @@ use crate::sysid::SysidError;
 use crate::sysid::joint::JointSettings;
 use crate::sysid::method::Method;
 use crate::sysid::rollouts::RolloutSettings;
+use crate::sysid::sequential::SequentialSettings;
 use crate::sysid::shooting::ShootingSettings;
 
 /// How to solve.
@@ -22,9 +23,12 @@ enum MethodName {
     Shooting,
     /// Rollouts from recorded states, as `phantom compare` makes them by the protocol; searched without slopes
     Rollout,
+    /// A swarm of simulations that sees more and more of the recordings, for chaotic motion in contact; few parameters
+    Sequential,
 }
 
 #[derive(Debug, Args)]
+#[allow(clippy::struct_excessive_bools, reason = "flags of a command line")]
 pub(super) struct FitArgs {
     /// Recordings to identify from: .mcap, .csv or .csv.gz
     #[arg(value_name = "FILE", required = true)]
@@ -50,13 +54,14 @@ pub(super) struct FitArgs {
     /// Models to draw from the posterior
     #[arg(long, value_name = "N", default_value = "32", value_parser = count)]
     pub(super) ensemble: usize,
-    /// Seed of the draws, and of the search of --method rollout
+    /// Seed of the draws, and of the search of --method rollout and sequential
     #[arg(long, value_name = "S", default_value = "0")]
     pub(super) seed: u64,
     /// Time step to identify with, s, in place of the model's; the interval between samples is often best
     #[arg(long, value_name = "S", value_parser = positive)]
     pub(super) timestep: Option<f64>,
-    /// How to solve: by inverse dynamics, by simulating windows, or by searching for the best rollouts
+    /// How to solve: by inverse dynamics, by simulating windows, by searching for the best rollouts, or by a swarm of
+    /// simulations from the recordings' beginnings
     #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,
     /// Length of a window of shooting, s, no more than a recording; `inf` for whole recordings [default: 0.5]
@@ -68,7 +73,13 @@ pub(super) struct FitArgs {
     /// Windows of shooting start from the measured states as they are
     #[arg(long)]
     hold_states: bool,
-    /// Most iterations (joint: at a level of unexplained force; rollout: generations)
+    /// Chains of simulations of --method sequential; more follow chaotic motion farther [default: 100]
+    #[arg(long, value_name = "N", value_parser = count)]
+    chains: Option<usize>,
+    /// Recordings begin at rest: velocities are 0, what no sensor shows is as in the model (--method sequential)
+    #[arg(long)]
+    at_rest: bool,
+    /// Most iterations (joint: at a level of unexplained force; rollout: generations; sequential: horizons)
     #[arg(long, value_name = "N", value_parser = count)]
     max_iterations: Option<usize>,
     /// Also fit without each sensor, and predict it
@@ -99,6 +110,16 @@ impl FitArgs {
             let reason = format!("{flag} is for --method shooting; the others have no windows");
             return Err(SysidError::Setting { reason }.into());
         }
+        let only_sequential = [
+            ("--chains", self.chains.is_some()),
+            ("--at-rest", self.at_rest),
+        ];
+        if self.method != MethodName::Sequential
+            && let Some((flag, _)) = only_sequential.iter().find(|(_, given)| *given)
+        {
+            let reason = format!("{flag} is for --method sequential");
+            return Err(SysidError::Setting { reason }.into());
+        }
         match self.method {
             MethodName::Joint => Ok(Method::Joint(JointSettings {
                 max_iterations: self.max_iterations.unwrap_or(joint.max_iterations),
@@ -112,6 +133,17 @@ impl FitArgs {
                     seed: self.seed,
                     ..rollout
                 }))
+            }
+            MethodName::Sequential => {
+                let sequential = SequentialSettings::default();
+                let settings = SequentialSettings {
+                    n_chains: self.chains.unwrap_or(sequential.n_chains),
+                    at_rest: self.at_rest,
+                    max_iterations: self.max_iterations.unwrap_or(sequential.max_iterations),
+                    seed: self.seed,
+                };
+                settings.check()?;
+                Ok(Method::Sequential(settings))
             }
             MethodName::Shooting => {
                 let settings = ShootingSettings {

@@ -119,8 +119,9 @@ impl Watch {
         } else {
             String::new()
         };
+        let horizon = (i.horizon_s).map_or_else(String::new, |s| format!(" · first {s:.3} s"));
         self.bar.set_message(format!(
-            "{} · iteration {}{level} · cost {:.6e} · step {:.1e}",
+            "{} · iteration {}{level}{horizon} · cost {:.6e} · step {:.1e}",
             self.stage, self.n, i.cost, i.step
         ));
         !self.stopped()

@@ -113,6 +113,7 @@ pub fn solve(
         negative_log_evidence: first.cost(),
         level: 0.0,
         force_sigma: vec![0.0; problem.model.nv()],
+        horizon_s: None,
         status: Status::Converged,
         history: Vec::new(),
         innovations: Innovations::default(),
@@ -139,6 +140,7 @@ pub fn solve(
                     level: 0.0,
                     cost: best.cost.unwrap_or(f64::INFINITY),
                     damping: 0.0,
+                    horizon_s: None,
                     step,
                     x: best.x.clone(),
                 };

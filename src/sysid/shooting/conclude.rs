@@ -39,6 +39,7 @@ impl Descent<'_> {
             negative_log_evidence: cost + arrows.iter().map(Arrow::log_diagonal).sum::<f64>(),
             level: 0.0,
             force_sigma: vec![0.0; self.problem.model.nv()],
+            horizon_s: None,
             status,
             innovations: self.innovations(&rows, &arrows),
             history: std::mem::take(&mut self.history),

@@ -183,6 +183,7 @@ impl<'a> Descent<'a> {
                 level: 0.0,
                 cost: taken.cost,
                 damping: self.damping,
+                horizon_s: None,
                 step: taken.length,
                 x: taken.x.clone(),
             };

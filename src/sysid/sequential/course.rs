@@ -1,0 +1,176 @@
+//! What one simulation costs, sample by sample.
+
+use std::borrow::Cow;
+
+use super::first::First;
+use crate::sysid::SysidError;
+use crate::sysid::parameter::{Instrument, Role};
+use crate::sysid::problem::Problem;
+use crate::sysid::shooting::simulate::{Pool, Simulated, Simulator};
+use crate::sysid::shooting::window::{self, Placed, Window};
+
+/// Recordings, and where their simulations begin. Unknowns z are the free parameters, then those of each trial's first
+/// state.
+pub(super) struct Course<'a> {
+    pub problem: &'a Problem,
+    /// one a trial, all of it
+    pub windows: Vec<Window>,
+    /// one a trial
+    pub firsts: Vec<First>,
+    /// where x (free) are looked for
+    pub ranges: Vec<(f64, f64)>,
+    /// at parameters that no delay depends on
+    timing: Option<Timing>,
+    pool: Pool,
+}
+
+/// Which samples and commands belong to which step.
+#[derive(Clone)]
+struct Timing {
+    /// one a trial
+    placed: Vec<Vec<Placed>>,
+    /// one a trial (knots × nu)
+    controls: Vec<Vec<f64>>,
+}
+
+impl Timing {
+    fn new(problem: &Problem, windows: &[Window], x: &[f64]) -> Self {
+        Self {
+            placed: window::place(problem, windows, x),
+            controls: (problem.trials.iter())
+                .map(|t| problem.controls(t, x))
+                .collect(),
+        }
+    }
+}
+
+impl<'a> Course<'a> {
+    pub(super) fn new(
+        problem: &'a Problem,
+        x: &[f64],
+        ranges: Vec<(f64, f64)>,
+        firsts: Vec<First>,
+    ) -> Self {
+        let windows = window::cut(problem, f64::INFINITY);
+        let late = |role: &Role| {
+            matches!(
+                role,
+                Role::Instrument(Instrument::Delay | Instrument::CommandDelay, _)
+            )
+        };
+        let is_late = problem.parameters.iter_free().any(|p| late(&p.role));
+        Self {
+            timing: (!is_late).then(|| Timing::new(problem, &windows, x)),
+            problem,
+            windows,
+            firsts,
+            ranges,
+            pool: Pool::default(),
+        }
+    }
+
+    fn timing(&self, x: &[f64]) -> Cow<'_, Timing> {
+        match &self.timing {
+            Some(timing) => Cow::Borrowed(timing),
+            None => Cow::Owned(Timing::new(self.problem, &self.windows, x)),
+        }
+    }
+
+    /// Number of unknowns.
+    pub(super) fn len(&self) -> usize {
+        self.ranges.len() + self.firsts.iter().map(First::len).sum::<usize>()
+    }
+
+    /// Steps of the longest trial, the sample at its end included.
+    pub(super) fn end(&self) -> usize {
+        self.windows.iter().map(Window::len).max().unwrap_or(0)
+    }
+
+    /// −log p of unknowns before any sample; infinite where they cannot be.
+    pub(super) fn prior(&self, z: &[f64]) -> f64 {
+        let (x, u) = z.split_at(self.ranges.len());
+        let inside = (x.iter().zip(&self.ranges)).all(|(x, r)| (r.0..=r.1).contains(x));
+        if !inside {
+            return f64::INFINITY;
+        }
+        self.problem.parameters.prior_cost(x) + 0.5 * u.iter().map(|u| u * u).sum::<f64>()
+    }
+
+    /// Every trial simulated over its first `steps`; `None` where one diverges.
+    pub(super) fn simulate(
+        &self,
+        z: &[f64],
+        steps: usize,
+    ) -> Result<Option<Vec<Simulated>>, SysidError> {
+        let (x, mut u) = z.split_at(self.ranges.len());
+        let timing = self.timing(x);
+        let mut all = Vec::with_capacity(self.windows.len());
+        Simulator::with(self.problem, &self.pool, x, |simulator| {
+            for (i, (window, first)) in self.windows.iter().zip(&self.firsts).enumerate() {
+                let (mine, rest) = u.split_at(first.len());
+                u = rest;
+                let state = first.at(self.problem, x, mine)?;
+                let window = window.up_to(steps);
+                let Some(simulated) = simulator.run(&window, &state, &timing.controls[i])? else {
+                    return Ok(None);
+                };
+                all.push(simulated);
+            }
+            Ok(Some(all))
+        })
+    }
+
+    /// Calls `each` with every sample of the first `steps`: trial, place, and the reading as the simulation has it.
+    pub(super) fn readings(
+        &self,
+        z: &[f64],
+        simulated: &[Simulated],
+        steps: usize,
+        each: &mut dyn FnMut(usize, &Placed, f64),
+    ) {
+        let x = &z[..self.ranges.len()];
+        let timing = self.timing(x);
+        let free = self.problem.free_values(x);
+        for (trial, (window, simulated)) in self.windows.iter().zip(simulated).enumerate() {
+            let placed = &timing.placed[trial];
+            let placed = &placed[..placed.partition_point(|p| p.knot < steps)];
+            let window = window.up_to(steps);
+            let samples = &self.problem.trials[trial].samples;
+            for (p, (z, _)) in (placed.iter()).zip(simulated.samples(self.problem, &window, placed))
+            {
+                let channel = &self.problem.channels[samples[p.sample].channel];
+                each(
+                    trial,
+                    p,
+                    channel.gain.value(&free) * z + channel.bias.value(&free),
+                );
+            }
+        }
+    }
+
+    /// −log p of the samples before each step up to `steps` (one more than that many numbers), less a constant; `None`
+    /// where the simulation diverges.
+    pub(super) fn costs(&self, z: &[f64], steps: usize) -> Result<Option<Vec<f64>>, SysidError> {
+        let Some(simulated) = self.simulate(z, steps)? else {
+            return Ok(None);
+        };
+        let mut costs = vec![0.0; steps + 1];
+        self.readings(z, &simulated, steps, &mut |trial, p, reading| {
+            let s = &self.problem.trials[trial].samples[p.sample];
+            let channel = &self.problem.channels[s.channel];
+            let residual = (reading - s.value) / (channel.sigma * s.spread);
+            costs[p.knot + 1] += channel.norm.cost(residual);
+        });
+        for k in 1..costs.len() {
+            costs[k] += costs[k - 1];
+        }
+        Ok(costs[steps].is_finite().then_some(costs))
+    }
+
+    /// Samples of all trials before `steps`, at parameters `x`.
+    pub(super) fn n_samples(&self, x: &[f64], steps: usize) -> usize {
+        let timing = self.timing(x);
+        let own = timing.placed.iter();
+        own.map(|p| p.partition_point(|p| p.knot < steps)).sum()
+    }
+}
