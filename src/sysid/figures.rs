@@ -52,8 +52,16 @@ pub fn sentences(summary: &Summary) -> Vec<String> {
         Status::Interrupted => format!("Interrupted after {last} iterations; best so far."),
     }];
     lines.extend(summary.horizon_s.map(|horizon| {
+        let behind = if summary.level > 0.0 {
+            format!(
+                "what is behind, ones that forces of {} of those at each joint push",
+                number(summary.level)
+            )
+        } else {
+            "what is behind was not used".to_owned()
+        };
         format!(
-            "It comes from the first {} s of each recording: simulations of more part from each other.",
+            "Simulations of the model follow the first {} s of each recording; {behind}.",
             number(horizon)
         )
     }));

@@ -80,7 +80,7 @@ pub struct Fit {
     pub level: f64,
     /// (nv) its standard deviation
     pub force_sigma: Vec<f64>,
-    /// seconds of each recording that it comes from, where that is less than all
+    /// seconds of each recording that simulations of the model follow, where that is less than all
     pub horizon_s: Option<f64>,
     /// why it stopped
     pub status: Status,

@@ -78,7 +78,7 @@ pub struct Summary {
     pub cost: f64,
     /// unexplained force, as a part of the forces
     pub level: f64,
-    /// seconds of each recording that the estimate comes from; none: all
+    /// seconds of each recording that simulations of the model follow; none: all, or not asked
     pub horizon_s: Option<f64>,
     /// recordings
     pub recordings: Vec<Used>,

@@ -146,7 +146,7 @@ fn a_recording_that_begins_at_rest_tells_more() {
 #[test]
 fn it_goes_no_farther_than_the_model_follows() {
     let problem = problem(0.0, 0.05);
-    let fit = solve(&problem, &settings(30, true, 0), problem.parameters.start());
+    let fit = solve(&problem, &settings(20, true, 0), problem.parameters.start());
     let horizon = fit.horizon_s.expect("part of it");
     assert!((0.4..=0.52).contains(&horizon), "{horizon}");
     for (x, truth) in fit.x.iter().zip(TRUTH) {

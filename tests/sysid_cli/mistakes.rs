@@ -75,6 +75,22 @@ fn mistakes_are_named_with_exit_code_2() {
             "is already set by `joint/hinge damping`",
         ),
         (
+            &["--parameters", "p.toml", "log1.mcap", "--at-rest"],
+            "--at-rest is for --method sequential",
+        ),
+        (
+            &[
+                "--parameters",
+                "p.toml",
+                "log1.mcap",
+                "--method",
+                "sequential",
+                "--chains",
+                "5",
+            ],
+            "5 chains are too few",
+        ),
+        (
             &["--parameters", "none.toml", "log1.mcap"],
             "there is no [[parameter]] to estimate",
         ),

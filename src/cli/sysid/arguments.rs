@@ -141,6 +141,7 @@ impl FitArgs {
                     at_rest: self.at_rest,
                     max_iterations: self.max_iterations.unwrap_or(sequential.max_iterations),
                     seed: self.seed,
+                    ..sequential
                 };
                 settings.check()?;
                 Ok(Method::Sequential(settings))

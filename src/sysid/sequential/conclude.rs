@@ -1,11 +1,12 @@
 //! From a swarm to a fit.
 //!
-//! Estimates are means over the swarm. Sensitivities of samples are slopes over it, Σ⁻¹ cov(x, ŝ), which average over
+//! Sensitivities of samples are slopes over it, Σ⁻¹ cov(x, ŝ), which average over
 //! what contacts do to single derivatives, and in which first states follow the parameters as the samples have them.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use super::Found;
 use super::course::Course;
 use super::swarm::Swarm;
 use crate::sysid::SysidError;
@@ -18,9 +19,9 @@ const CHUNK: usize = 32;
 pub(super) fn conclude(
     swarm: &Swarm<'_>,
     course: &Course<'_>,
+    found: Found,
     smoothed: Vec<Vec<f64>>,
-    status: Status,
-    history: Vec<Iteration>,
+    (status, history): (Status, Vec<Iteration>),
 ) -> Result<Fit, SysidError> {
     let problem = course.problem;
     let nq = problem.model.nq();
@@ -33,13 +34,12 @@ pub(super) fn conclude(
             all[..n].copy_from_slice(&own.qpos[..n]);
         }
     }
-    let (mean, _) = swarm.moments();
     Ok(Fit {
-        x: mean[..course.ranges.len()].to_vec(),
+        x: found.x,
         trajectories,
         cost,
         negative_log_evidence: -swarm.evidence,
-        level: 0.0,
+        level: found.level,
         force_sigma: vec![0.0; problem.model.nv()],
         horizon_s: (swarm.horizon < course.end() as f64)
             .then(|| swarm.horizon * problem.model.timestep()),

@@ -76,6 +76,11 @@ impl<'a> Course<'a> {
         }
     }
 
+    /// Whether a delay is among the parameters.
+    pub(super) fn is_late(&self) -> bool {
+        self.timing.is_none()
+    }
+
     /// Number of unknowns.
     pub(super) fn len(&self) -> usize {
         self.ranges.len() + self.firsts.iter().map(First::len).sum::<usize>()
@@ -165,6 +170,14 @@ impl<'a> Course<'a> {
             costs[k] += costs[k - 1];
         }
         Ok(costs[steps].is_finite().then_some(costs))
+    }
+
+    /// Controls of a trial (knots × nu).
+    pub(super) fn controls(&self, trial: usize, x: &[f64]) -> Cow<'_, [f64]> {
+        match self.timing(x) {
+            Cow::Borrowed(timing) => Cow::Borrowed(&timing.controls[trial]),
+            Cow::Owned(mut timing) => Cow::Owned(timing.controls.swap_remove(trial)),
+        }
     }
 
     /// Samples of all trials before `steps`, at parameters `x`.

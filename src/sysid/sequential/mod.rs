@@ -11,7 +11,9 @@
 //! and τ grows by as much as leaves half of the swarm in place (sequential Monte Carlo over parameters). No derivative
 //! is asked for, no force is left unexplained, and where the search begins does not matter within the bounds. It ends
 //! where simulations no longer find each other's neighbourhood: there the motion has become chaotic, or the model
-//! does not follow the recordings, and what lies behind tells nothing that a swarm of this size can read.
+//! does not follow the recordings. What lies behind is followed from there by simulations that small forces push
+//! (`follow`), and the estimate is theirs. Intervals are those of the swarm at its horizon: what lies behind makes the
+//! estimate better by more than they say.
 //!
 //! | symbol | name |
 //! | --- | --- |
@@ -24,6 +26,8 @@
 mod conclude;
 mod course;
 mod first;
+mod follow;
+mod kernel;
 mod swarm;
 
 use super::SysidError;
@@ -32,6 +36,7 @@ use super::parameter::Parameter;
 use super::problem::Problem;
 use course::Course;
 use first::First;
+use follow::{Follower, Freedom};
 use swarm::Swarm;
 
 /// Settings of the method.
@@ -43,6 +48,8 @@ pub struct SequentialSettings {
     pub at_rest: bool,
     /// most horizons
     pub max_iterations: usize,
+    /// over what is behind the last horizon
+    pub passes: usize,
     /// of the draws
     pub seed: u64,
 }
@@ -53,6 +60,7 @@ impl Default for SequentialSettings {
             n_chains: 100,
             at_rest: false,
             max_iterations: 300,
+            passes: 10,
             seed: 0,
         }
     }
@@ -63,8 +71,20 @@ const FEWEST: usize = 20;
 /// Steps, and part of the horizon, by which simulations go farther.
 const AHEAD: usize = 8;
 const PART_AHEAD: f64 = 0.06;
+/// Unexplained force of the first pass behind the horizon, as a part of the forces; the least of all; factor after a pass
+/// that loses the motion.
+const FIRST_FORCE: f64 = 0.01;
+const LEAST_FORCE: f64 = 0.004;
+const FREER: f64 = 2.0;
+/// Factor on forces and on the spread of parameters from pass to pass, and its least part.
+const COOL: f64 = 0.7;
+const LEAST_SPREAD: f64 = 0.2;
+/// Simulations of a pass for each chain.
+const PER_CHAIN: usize = 20;
+/// Evidence (nats) by which a pass may lie below the best without having lost the motion for a while.
+const LOST: f64 = 15.0;
 /// Stirring below which the swarm has come to its end.
-const STUCK: f64 = 0.02;
+const STUCK: f64 = 0.2;
 /// Standard deviations of its noise by which the cost of the best simulation may be too large.
 const UNLIKELY: f64 = 5.0;
 /// Standard deviation of parameters, in their sizes, that is fine enough.
@@ -98,7 +118,7 @@ fn range(parameter: &Parameter, x: f64) -> (f64, f64) {
     (or(lower, x - reach), or(upper, x + reach))
 }
 
-/// Estimates parameters and first states. `watch` is told of each horizon, and stops the search by `false`.
+/// Estimates parameters and first states. `watch` is told of each horizon and pass, and stops the search by `false`.
 ///
 /// # Errors
 /// No simulation follows a recording at all, a number the engine refuses.
@@ -128,16 +148,74 @@ pub fn solve(
         .map(|(p, x)| range(p, *x))
         .collect();
     let course = Course::new(problem, &start.x, ranges, firsts);
-    let mut swarm = Swarm::new(&course, settings.n_chains, settings.seed);
+    let mut history = Vec::new();
+    let mut record = |iteration: Iteration| {
+        history.push(iteration);
+        watch(&history[history.len() - 1])
+    };
+    let (swarm, mut status) = grow(&course, settings, start, &mut record)?;
+    let (mean, sigma) = swarm.moments();
+    let np = course.ranges.len();
+    let mut found = Found {
+        x: mean[..np].to_vec(),
+        level: 0.0,
+    };
+    // nothing is to be found behind the horizon where all parameters are known as well as they have to be, and samples
+    // whose delay is unknown belong to no block
+    let is_open =
+        swarm.horizon < course.end() as f64 && widest(problem, &sigma) >= FINE && !course.is_late();
+    if status == Status::Converged && is_open && settings.passes > 0 {
+        let scale = match &start.force_scale {
+            Some(given) => given.clone(),
+            None => super::joint::force_scale(problem, &start.x)?,
+        };
+        let follower = Follower::new(
+            &course,
+            &swarm,
+            &start.x,
+            &scale,
+            settings.n_chains * PER_CHAIN,
+        );
+        let goes_on = behind(
+            &follower,
+            settings.passes,
+            &sigma[..np],
+            &mut found,
+            &mut record,
+        )?;
+        if !goes_on {
+            status = Status::Interrupted;
+        }
+    }
+    conclude::conclude(&swarm, &course, found, smoothed, (status, history))
+}
+
+/// What is estimated, and with which forces left unexplained, as a part of the forces.
+struct Found {
+    x: Vec<f64>,
+    level: f64,
+}
+
+/// Largest spread of a parameter, in its size.
+fn widest(problem: &Problem, sigma: &[f64]) -> f64 {
+    let each = problem.parameters.iter_free().zip(sigma);
+    each.fold(0.0_f64, |m, (p, s)| m.max(s / p.typical))
+}
+
+/// The swarm at its farthest horizon.
+fn grow<'a>(
+    course: &'a Course<'a>,
+    settings: &SequentialSettings,
+    start: &Start,
+    record: &mut dyn FnMut(Iteration) -> bool,
+) -> Result<(Swarm<'a>, Status), SysidError> {
+    let problem = course.problem;
+    let mut swarm = Swarm::new(course, settings.n_chains, settings.seed);
     let look = |horizon: f64| {
         let ahead = AHEAD.max((PART_AHEAD * horizon) as usize);
         (horizon.ceil() as usize + ahead).min(course.end())
     };
-    let mut history = Vec::new();
-    let status = loop {
-        if history.len() >= settings.max_iterations {
-            break Status::MaxIterations;
-        }
+    for _ in 0..settings.max_iterations {
         let steps = look(swarm.horizon);
         swarm.extend(steps)?;
         let before = swarm.clone();
@@ -145,35 +223,89 @@ pub fn solve(
         let stirred = swarm.advance(next, look(next))?;
         let n = course.n_samples(&start.x, swarm.horizon.ceil() as usize) as f64;
         let unlikely = swarm.least() > 0.5 * n + UNLIKELY * (0.5 * n).sqrt();
+        if unlikely && before.horizon == 0.0 {
+            let reason = "no simulation follows even the first samples: look at units and noise of channels, at bounds, \
+                          and at whether the recordings begin at rest (--at-rest)";
+            return Err(SysidError::Setting {
+                reason: reason.into(),
+            });
+        }
         if stirred < STUCK || unlikely {
-            swarm = before;
-            break Status::Converged;
+            return Ok((before, Status::Converged));
         }
         let (mean, sigma) = swarm.moments();
-        let parameters = problem.parameters.iter_free().zip(&sigma);
-        let widest = parameters.fold(0.0_f64, |m, (p, s)| m.max(s / p.typical));
-        let iteration = Iteration {
+        let widest = widest(problem, &sigma);
+        let goes_on = record(Iteration {
             level: 0.0,
             cost: swarm.best().1,
             damping: 0.0,
             horizon_s: Some(swarm.horizon * problem.model.timestep()),
             step: widest,
             x: mean[..course.ranges.len()].to_vec(),
-        };
-        history.push(iteration.clone());
-        if !watch(&iteration) {
-            break Status::Interrupted;
+        });
+        if !goes_on {
+            return Ok((swarm, Status::Interrupted));
         }
         if swarm.horizon >= course.end() as f64 || widest < FINE {
-            break Status::Converged;
+            return Ok((swarm, Status::Converged));
         }
-    };
-    if history.is_empty() {
-        let reason = "no simulation follows even the first samples: look at units and noise of channels, at bounds, and at \
-                      whether the recordings begin at rest (--at-rest)";
-        return Err(SysidError::Setting {
-            reason: reason.into(),
-        });
     }
-    conclude::conclude(&swarm, &course, smoothed, status, history)
+    Ok((swarm, Status::MaxIterations))
+}
+
+/// Passes behind the horizon, of which `found` becomes the mean of the last. Whether they were not interrupted.
+fn behind(
+    follower: &Follower<'_>,
+    passes: usize,
+    sigma: &[f64],
+    found: &mut Found,
+    record: &mut dyn FnMut(Iteration) -> bool,
+) -> Result<bool, SysidError> {
+    let mut x = found.x.clone();
+    let mut spread = sigma.to_vec();
+    let mut force = FIRST_FORCE;
+    let mut all: Vec<(f64, Vec<f64>)> = Vec::new();
+    let mut best = f64::NEG_INFINITY;
+    let mut goes_on = true;
+    for number in 0..passes as u64 {
+        if !goes_on {
+            break;
+        }
+        let freedom = Freedom {
+            force,
+            spread: &spread,
+        };
+        let Some(passed) = follower.pass(number, &x, &freedom)? else {
+            force = (force * FREER).min(1.0);
+            continue;
+        };
+        best = best.max(passed.evidence);
+        let widest = widest(follower.problem(), &spread);
+        goes_on = record(Iteration {
+            level: force,
+            cost: -passed.evidence,
+            damping: 0.0,
+            horizon_s: None,
+            step: widest,
+            x: passed.x.clone(),
+        });
+        // a pass that has lost the motion for a while tells nothing of the parameters
+        if passed.evidence >= best - LOST {
+            x.clone_from(&passed.x);
+            all.push((passed.evidence, passed.x));
+        }
+        found.level = force;
+        force = (force * COOL).max(LEAST_FORCE);
+        for (s, full) in spread.iter_mut().zip(sigma) {
+            *s = (*s * COOL).max(LEAST_SPREAD * full);
+        }
+    }
+    all.retain(|(evidence, _)| *evidence >= best - LOST);
+    let last = &all[all.len() / 2..];
+    if !last.is_empty() {
+        found.x = (0..x.len())
+            .map(|j| last.iter().map(|(_, x)| x[j]).sum::<f64>() / last.len() as f64)
+            .collect();
+    }
+    Ok(goes_on)
 }

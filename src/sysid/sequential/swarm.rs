@@ -28,7 +28,7 @@ const COUNTING: f64 = 0.5;
 /// Links of a chain: at first, at least, at most.
 const LINKS: usize = 20;
 const FEWEST_LINKS: usize = 10;
-const MOST_LINKS: usize = 160;
+const MOST_LINKS: usize = 80;
 /// Stirring below which chains become longer, and above which shorter.
 const LITTLE: f64 = 0.35;
 const MUCH: f64 = 0.8;
@@ -103,7 +103,7 @@ pub(super) struct Swarm<'a> {
     n_links: usize,
     /// of moves
     scale: f64,
-    seed: u64,
+    pub seed: u64,
     round: u64,
 }
 
@@ -317,7 +317,7 @@ fn stirred(chains: &[Chain], n_unknowns: usize) -> f64 {
 }
 
 /// Number of simulations that count, by the logs of their weights.
-fn counting(weights: &[f64]) -> f64 {
+pub(super) fn counting(weights: &[f64]) -> f64 {
     let most = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if most == f64::NEG_INFINITY {
         return 0.0;
@@ -329,14 +329,14 @@ fn counting(weights: &[f64]) -> f64 {
     sum * sum / squares
 }
 
-fn log_mean(weights: &[f64]) -> f64 {
+pub(super) fn log_mean(weights: &[f64]) -> f64 {
     let most = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let sum: f64 = weights.iter().map(|w| (w - most).exp()).sum();
     most + (sum / weights.len() as f64).ln()
 }
 
 /// As many indices as weights, each as often as its weight says within one (systematic resampling); `u` from 0 to 1.
-fn draw(weights: &[f64], u: f64) -> Vec<usize> {
+pub(super) fn draw(weights: &[f64], u: f64) -> Vec<usize> {
     let most = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let each: Vec<f64> = weights.iter().map(|w| (w - most).exp()).collect();
     let step = each.iter().sum::<f64>() / each.len() as f64;
