@@ -54,8 +54,8 @@ pub fn sentences(summary: &Summary) -> Vec<String> {
     lines.extend(summary.horizon_s.map(|horizon| {
         let behind = if summary.level > 0.0 {
             format!(
-                "what is behind, ones that forces of {} of those at each joint push",
-                number(summary.level)
+                "what is behind, ones that forces of {} % of those at each joint push",
+                number(100.0 * summary.level)
             )
         } else {
             "what is behind was not used".to_owned()

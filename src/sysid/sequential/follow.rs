@@ -321,3 +321,20 @@ fn most_of(left: f64, least: f64, weights: &dyn Fn(f64) -> Vec<f64>) -> f64 {
     }
     low
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_of_a_likelihood_leaves_as_many_as_asked() {
+        let mut rng = rng::stream(2, Purpose::Swarm, 0, 0);
+        let fits: Vec<f64> = (0..1000)
+            .map(|_| -50.0 * rng::normal(&mut rng).powi(2))
+            .collect();
+        let weights = |t: f64| -> Vec<f64> { fits.iter().map(|f| t * f).collect() };
+        let t = most_of(1.0, 500.0, &weights);
+        assert!(t < 1.0 && (counting(&weights(t)) - 500.0).abs() < 1.0);
+        assert_eq!(most_of(1.0, 2.0, &weights), 1.0);
+    }
+}
