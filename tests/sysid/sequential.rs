@@ -110,18 +110,22 @@ fn a_swarm_and_gauss_newton_agree_on_estimates_and_intervals() {
         ..ShootingSettings::default()
     });
     let by_slopes = solve(&problem, &shooting, problem.parameters.start());
-    let swarm = solve(
-        &problem,
-        &settings(50, false, 1),
-        problem.parameters.start(),
-    );
-    assert_eq!(swarm.horizon_s, None, "all of it is seen");
-    let (a, b) = (sigmas(&problem, &by_slopes), sigmas(&problem, &swarm));
-    for j in 0..2 {
-        let off = (swarm.x[j] - by_slopes.x[j]) / a[j];
-        assert!(off.abs() < 0.4, "{j}: {off} standard deviations apart");
-        assert!((0.8..1.25).contains(&(b[j] / a[j])), "{j}: {a:?}, {b:?}");
-        assert!((swarm.x[j] - TRUTH[j].ln()).abs() < 4.0 * a[j]);
+    let a = sigmas(&problem, &by_slopes);
+    // two seeds with which the swarm went no farther than to where it meets the stop, when chains were too short there
+    for seed in [1, 4] {
+        let swarm = solve(
+            &problem,
+            &settings(100, false, seed),
+            problem.parameters.start(),
+        );
+        assert_eq!(swarm.horizon_s, None, "all of it is seen");
+        let b = sigmas(&problem, &swarm);
+        for j in 0..2 {
+            let off = (swarm.x[j] - by_slopes.x[j]) / a[j];
+            assert!(off.abs() < 0.4, "{j}: {off} standard deviations apart");
+            assert!((0.8..1.25).contains(&(b[j] / a[j])), "{j}: {a:?}, {b:?}");
+            assert!((swarm.x[j] - TRUTH[j].ln()).abs() < 4.0 * a[j]);
+        }
     }
 }
 
@@ -179,4 +183,21 @@ fn too_few_simulations_are_refused() {
     let fit = settings(3, true, 0).solve(&problem, &start, &mut |_| true);
     let text = fit.expect_err("refused").to_string();
     assert!(text.contains("3 chains") && text.contains("20"), "{text}");
+}
+
+#[test]
+fn readings_that_no_simulation_follows_are_refused() {
+    let mut problem = problem(0.0, 0.0);
+    problem.channels[0].sigma = 1e-7;
+    let start = Start {
+        x: problem.parameters.start(),
+        trajectories: None,
+        force_scale: None,
+    };
+    let fit = settings(20, true, 0).solve(&problem, &start, &mut |_| true);
+    let text = fit.expect_err("refused").to_string();
+    assert!(
+        text.contains("first samples") && text.contains("noise"),
+        "{text}"
+    );
 }

@@ -223,14 +223,16 @@ fn grow<'a>(
         let stirred = swarm.advance(next, look(next))?;
         let n = course.n_samples(&start.x, swarm.horizon.ceil() as usize) as f64;
         let unlikely = swarm.least() > 0.5 * n + UNLIKELY * (0.5 * n).sqrt();
-        if unlikely && before.horizon == 0.0 {
-            let reason = "no simulation follows even the first samples: look at units and noise of channels, at bounds, \
-                          and at whether the recordings begin at rest (--at-rest)";
-            return Err(SysidError::Setting {
-                reason: reason.into(),
-            });
+        if stirred < STUCK && !before.is_longest() {
+            // once more, with longer chains
+            swarm.go_back(before);
+            continue;
         }
         if stirred < STUCK || unlikely {
+            // fewer samples than unknowns tell nothing
+            if course.n_samples(&start.x, before.horizon.ceil() as usize) <= course.len() {
+                return Err(nothing(unlikely, course.len()));
+            }
             return Ok((before, Status::Converged));
         }
         let (mean, sigma) = swarm.moments();
@@ -251,6 +253,21 @@ fn grow<'a>(
         }
     }
     Ok((swarm, Status::MaxIterations))
+}
+
+/// Why there is no horizon.
+fn nothing(unlikely: bool, unknowns: usize) -> SysidError {
+    let reason = if unlikely {
+        "no simulation follows even the first samples: look at units and noise of channels, at bounds, and at whether the \
+         recordings begin at rest (--at-rest)"
+            .into()
+    } else {
+        format!(
+            "a swarm does not find its way among {unknowns} unknowns, of parameters and of first states: estimate fewer, say \
+             that recordings begin at rest (--at-rest) if they do, or take another method"
+        )
+    };
+    SysidError::Setting { reason }
 }
 
 /// Passes behind the horizon, of which `found` becomes the mean of the last. Whether they were not interrupted.

@@ -145,7 +145,8 @@ impl<'a> Swarm<'a> {
             evidence: 0.0,
             n_chains,
             n_links: LINKS,
-            scale: SCALES[1],
+            // as long as serves a normal distribution best
+            scale: (2.38 / (2.0 * course.len().max(1) as f64).sqrt()).clamp(SCALES[0], SCALES[1]),
             seed,
             round: 0,
         }
@@ -224,6 +225,22 @@ impl<'a> Swarm<'a> {
         }
         self.all = chains.into_iter().flat_map(|c| c.all).collect();
         Ok(stirred)
+    }
+
+    /// Whether chains are as long as they may be.
+    pub(super) fn is_longest(&self) -> bool {
+        self.n_links >= MOST_LINKS
+    }
+
+    /// Returns to what it was, with the moves it has learned to make.
+    pub(super) fn go_back(&mut self, before: Self) {
+        let (n_links, scale, round) = (self.n_links, self.scale, self.round);
+        *self = Self {
+            n_links,
+            scale,
+            round,
+            ..before
+        };
     }
 
     /// Moves from simulation `first` on, by differences of those that were `drawn`.
