@@ -112,7 +112,7 @@ impl Windows {
                 .map(|((z, _), p)| {
                     let s = &samples[p.sample];
                     let c = &self.problem.channels[s.channel];
-                    let r = (c.gain.value(&free) * z + c.bias.value(&free) - s.value) / c.sigma;
+                    let r = (c.reading(&free, z) - s.value) / c.sigma;
                     cost += c.norm.cost(r);
                     r
                 })

@@ -85,12 +85,7 @@ pub fn solve(
         let reason = "no level of unexplained force is given".into();
         return Err(SysidError::Setting { reason });
     }
-    let trajectories = match &start.trajectories {
-        Some(given) => given.clone(),
-        None => (problem.trials.iter())
-            .map(|trial| start::trajectory(problem, trial, &start.x))
-            .collect::<Result<_, _>>()?,
-    };
+    let trajectories = start::trajectories(problem, start)?;
     let scale = match &start.force_scale {
         Some(given) => given.clone(),
         None => force_scale(problem, &start.x)?,

@@ -83,10 +83,7 @@ impl<'a> Pose<'a> {
         qpos: &[f64],
         channels: &[usize],
     ) -> Result<DMatrix<f64>, SysidError> {
-        self.data.qpos_mut().copy_from_slice(qpos);
-        let goals: Vec<(usize, f64)> = channels.iter().map(|&c| (c, 0.0)).collect();
-        let base = self.residual(&goals)?;
-        let jacobian = self.jacobian(&base, &goals)?;
+        let jacobian = self.derivatives(qpos, channels)?;
         let nv = jacobian.ncols();
         let information =
             jacobian.transpose() * jacobian + DMatrix::identity(nv, nv) * UNKNOWN_SIGMA.powi(-2);
@@ -100,11 +97,20 @@ impl<'a> Pose<'a> {
         qpos: &[f64],
         channels: &[usize],
     ) -> Result<DMatrix<f64>, SysidError> {
+        let all = self.derivatives(qpos, channels)?;
+        Ok(all.rows(0, channels.len()).into_owned())
+    }
+
+    /// Whitened derivatives of `channels`, then of equality constraints, at `qpos`.
+    fn derivatives(
+        &mut self,
+        qpos: &[f64],
+        channels: &[usize],
+    ) -> Result<DMatrix<f64>, SysidError> {
         self.data.qpos_mut().copy_from_slice(qpos);
         let goals: Vec<(usize, f64)> = channels.iter().map(|&c| (c, 0.0)).collect();
         let base = self.residual(&goals)?;
-        let jacobian = self.jacobian(&base, &goals)?;
-        Ok(jacobian.rows(0, channels.len()).into_owned())
+        self.jacobian(&base, &goals)
     }
 
     /// Moves the position to where sensors have the values `goals`.

@@ -99,8 +99,7 @@ pub fn explain(
                 let out = &mut channels[s.channel];
                 out.time_s.push(s.time);
                 out.measured.push(s.value);
-                out.predicted
-                    .push(channel.gain.value(&free) * z + channel.bias.value(&free));
+                out.predicted.push(channel.reading(&free, z));
             }
             Ok(Explained {
                 channels,

@@ -112,6 +112,13 @@ pub struct Channel {
     pub delay: Setting,
 }
 
+impl Channel {
+    /// What is recorded where the model's sensor shows `z`, but for the delay.
+    pub(crate) fn reading(&self, free_values: &[f64], z: f64) -> f64 {
+        self.gain.value(free_values) * z + self.bias.value(free_values)
+    }
+}
+
 /// An instrument's number: a constant, or an estimated parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Setting {

@@ -9,6 +9,7 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::SysidError;
+use super::fit::Start;
 use super::islands::Islands;
 use super::pose::Pose;
 use super::problem::{Problem, Stage, Trial};
@@ -69,6 +70,24 @@ pub(crate) fn trajectory(
     Ok(all)
 }
 
+/// Positions of every trial, as far as a start does not know them.
+pub(super) fn trajectories(problem: &Problem, start: &Start) -> Result<Vec<Vec<f64>>, SysidError> {
+    if let Some(given) = &start.trajectories {
+        return Ok(given.clone());
+    }
+    (problem.trials.iter())
+        .map(|trial| trajectory(problem, trial, &start.x))
+        .collect()
+}
+
+/// Channels that show positions in a trial.
+pub(super) fn measured(problem: &Problem, trial: &Trial) -> Vec<usize> {
+    (0..problem.channels.len())
+        .filter(|&c| problem.channels[c].stage == Stage::Position)
+        .filter(|&c| trial.samples.iter().any(|s| s.channel == c))
+        .collect()
+}
+
 /// Part of the knots of all trials at which bodies touch on which parameters act.
 pub(super) fn contact(
     problem: &Problem,
@@ -119,13 +138,7 @@ pub(super) fn belief(
     let (nq, nv) = (model.nq(), model.nv());
     let mut qvel = vec![0.0; nv];
     model.differentiate_pos(&mut qvel, model.timestep(), &qpos[..nq], &qpos[nq..2 * nq])?;
-    let measured: Vec<usize> = (0..problem.channels.len())
-        .filter(|&c| {
-            problem.channels[c].stage == Stage::Position
-                && trial.samples.iter().any(|s| s.channel == c)
-        })
-        .collect();
-    let position = Pose::new(problem, x)?.covariance(&qpos[..nq], &measured)?;
+    let position = Pose::new(problem, x)?.covariance(&qpos[..nq], &measured(problem, trial))?;
     let mut covariance = DMatrix::zeros(2 * nv, 2 * nv);
     covariance.view_mut((0, 0), (nv, nv)).copy_from(&position);
     covariance

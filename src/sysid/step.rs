@@ -42,7 +42,7 @@ impl Solver<'_> {
                 if p.part > 0.0 {
                     z += p.part * (evaluated.sensors[(p.knot + 1) * n_channels + s.channel] - z);
                 }
-                let predicted = channel.gain.value(&free) * z + channel.bias.value(&free);
+                let predicted = channel.reading(&free, z);
                 sum += channel
                     .norm
                     .cost((predicted - s.value) / (channel.sigma * s.spread));

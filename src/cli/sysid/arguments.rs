@@ -99,25 +99,44 @@ impl FitArgs {
     pub(super) fn method(&self, protocol: &Settings) -> Result<Method, CliError> {
         let joint = JointSettings::default();
         let shooting = ShootingSettings::default();
-        let only_shooting = [
-            ("--window", self.window.is_some()),
-            ("--jump-sigma", self.jump_sigma.is_some()),
-            ("--hold-states", self.hold_states),
+        let windows = "shooting; the others have no windows";
+        let only = [
+            (
+                "--window",
+                self.window.is_some(),
+                MethodName::Shooting,
+                windows,
+            ),
+            (
+                "--jump-sigma",
+                self.jump_sigma.is_some(),
+                MethodName::Shooting,
+                windows,
+            ),
+            (
+                "--hold-states",
+                self.hold_states,
+                MethodName::Shooting,
+                windows,
+            ),
+            (
+                "--chains",
+                self.chains.is_some(),
+                MethodName::Sequential,
+                "sequential",
+            ),
+            (
+                "--at-rest",
+                self.at_rest,
+                MethodName::Sequential,
+                "sequential",
+            ),
         ];
-        if self.method != MethodName::Shooting
-            && let Some((flag, _)) = only_shooting.iter().find(|(_, given)| *given)
-        {
-            let reason = format!("{flag} is for --method shooting; the others have no windows");
-            return Err(SysidError::Setting { reason }.into());
-        }
-        let only_sequential = [
-            ("--chains", self.chains.is_some()),
-            ("--at-rest", self.at_rest),
-        ];
-        if self.method != MethodName::Sequential
-            && let Some((flag, _)) = only_sequential.iter().find(|(_, given)| *given)
-        {
-            let reason = format!("{flag} is for --method sequential");
+        let misplaced = only
+            .iter()
+            .find(|(_, given, of, _)| *given && *of != self.method);
+        if let Some((flag, _, _, method)) = misplaced {
+            let reason = format!("{flag} is for --method {method}");
             return Err(SysidError::Setting { reason }.into());
         }
         match self.method {

@@ -1,7 +1,7 @@
 //! From a swarm to a fit.
 //!
-//! Sensitivities of samples are slopes over it, Σ⁻¹ cov(x, ŝ), which average over
-//! what contacts do to single derivatives, and in which first states follow the parameters as the samples have them.
+//! Sensitivities of samples are slopes over the swarm, Σ⁻¹ cov(x, ŝ), which average over what contacts do to single
+//! derivatives, and in which first states follow the parameters as the samples have them.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;

@@ -49,9 +49,8 @@ impl<'a> Course<'a> {
         problem: &'a Problem,
         x: &[f64],
         ranges: Vec<(f64, f64)>,
-        firsts: Vec<First>,
+        (windows, firsts): (Vec<Window>, Vec<First>),
     ) -> Self {
-        let windows = window::cut(problem, f64::INFINITY);
         let late = |role: &Role| {
             matches!(
                 role,
@@ -144,13 +143,16 @@ impl<'a> Course<'a> {
             for (p, (z, _)) in (placed.iter()).zip(simulated.samples(self.problem, &window, placed))
             {
                 let channel = &self.problem.channels[samples[p.sample].channel];
-                each(
-                    trial,
-                    p,
-                    channel.gain.value(&free) * z + channel.bias.value(&free),
-                );
+                each(trial, p, channel.reading(&free, z));
             }
         }
+    }
+
+    /// −log p of a sample that is simulated as `reading`, less a constant.
+    pub(super) fn cost(&self, trial: usize, placed: &Placed, reading: f64) -> f64 {
+        let s = &self.problem.trials[trial].samples[placed.sample];
+        let channel = &self.problem.channels[s.channel];
+        (channel.norm).cost((reading - s.value) / (channel.sigma * s.spread))
     }
 
     /// −log p of the samples before each step up to `steps` (one more than that many numbers), less a constant; `None`
@@ -161,23 +163,12 @@ impl<'a> Course<'a> {
         };
         let mut costs = vec![0.0; steps + 1];
         self.readings(z, &simulated, steps, &mut |trial, p, reading| {
-            let s = &self.problem.trials[trial].samples[p.sample];
-            let channel = &self.problem.channels[s.channel];
-            let residual = (reading - s.value) / (channel.sigma * s.spread);
-            costs[p.knot + 1] += channel.norm.cost(residual);
+            costs[p.knot + 1] += self.cost(trial, p, reading);
         });
         for k in 1..costs.len() {
             costs[k] += costs[k - 1];
         }
         Ok(costs[steps].is_finite().then_some(costs))
-    }
-
-    /// Controls of a trial (knots × nu).
-    pub(super) fn controls(&self, trial: usize, x: &[f64]) -> Cow<'_, [f64]> {
-        match self.timing(x) {
-            Cow::Borrowed(timing) => Cow::Borrowed(&timing.controls[trial]),
-            Cow::Owned(mut timing) => Cow::Owned(timing.controls.swap_remove(trial)),
-        }
     }
 
     /// Samples of all trials before `steps`, at parameters `x`.

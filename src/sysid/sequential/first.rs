@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, SymmetricEigen};
 
 use crate::sysid::SysidError;
 use crate::sysid::pose::{Pose, UNKNOWN_SIGMA};
-use crate::sysid::problem::{Problem, Stage, Trial};
+use crate::sysid::problem::{Problem, Trial};
 use crate::sysid::shooting::loops::Loops;
 use crate::sysid::shooting::window::{State, Window};
 use crate::sysid::start::{self, RATE};
@@ -32,7 +32,7 @@ impl First {
     /// Of a trial that begins at rest.
     pub(super) fn at_rest(problem: &Problem, trial: &Trial, x: &[f64]) -> Result<Self, SysidError> {
         let free = problem.free_values(x);
-        let goals: Vec<(usize, f64)> = (measured(problem, trial).into_iter())
+        let goals: Vec<(usize, f64)> = (start::measured(problem, trial).into_iter())
             .filter_map(|c| {
                 let channel = &problem.channels[c];
                 let first = trial.samples.iter().find(|s| s.channel == c)?;
@@ -70,7 +70,13 @@ impl First {
             }
         }
         let speed: Vec<f64> = square.iter().map(|s| s.sqrt()).collect();
-        Self::around(problem, x, state, &measured(problem, trial), Some(&speed))
+        Self::around(
+            problem,
+            x,
+            state,
+            &start::measured(problem, trial),
+            Some(&speed),
+        )
     }
 
     /// `speed`: size of velocities (nv); none: at rest.
@@ -144,19 +150,4 @@ impl First {
             Some(mut loops) => loops.close(&state),
         }
     }
-}
-
-/// Channels that show positions.
-fn measured(problem: &Problem, trial: &Trial) -> Vec<usize> {
-    (0..problem.channels.len())
-        .filter(|&c| problem.channels[c].stage == Stage::Position)
-        .filter(|&c| trial.samples.iter().any(|s| s.channel == c))
-        .collect()
-}
-
-/// The motion of every trial, smoothed.
-pub(super) fn smoothed(problem: &Problem, x: &[f64]) -> Result<Vec<Vec<f64>>, SysidError> {
-    (problem.trials.iter())
-        .map(|trial| start::trajectory(problem, trial, x))
-        .collect()
 }

@@ -47,6 +47,10 @@ pub(super) struct Follower<'a> {
     swarm: &'a Swarm<'a>,
     blocks: Vec<Window>,
     placed: Vec<Vec<Placed>>,
+    /// one a trial (knots × nu)
+    controls: Vec<Vec<f64>>,
+    /// step at which passes begin
+    begin: usize,
     /// (nv) size of forces
     force_scale: &'a [f64],
     n: usize,
@@ -106,6 +110,10 @@ impl<'a> Follower<'a> {
         }
         Self {
             placed: window::place(course.problem, &blocks, x),
+            controls: (course.problem.trials.iter())
+                .map(|t| course.problem.controls(t, x))
+                .collect(),
+            begin,
             course,
             swarm,
             blocks,
@@ -133,12 +141,11 @@ impl<'a> Follower<'a> {
             })
             .collect();
         let drawn = draw(&weights, rng::uniform(&mut stream(0), 0.0, 1.0));
-        let steps = (self.swarm.horizon.floor() as usize).max(1);
         let all = (0..self.n)
             .into_par_iter()
             .map(|i| {
                 let z = &self.swarm.all[drawn[i * drawn.len() / self.n]].z;
-                let simulated = self.course.simulate(z, steps)?;
+                let simulated = self.course.simulate(z, self.begin.max(1))?;
                 Ok(simulated.map(|all| One {
                     states: all.into_iter().map(|s| s.end).collect(),
                     x: z[..x.len()].to_vec(),
@@ -166,10 +173,9 @@ impl<'a> Follower<'a> {
         let mut all = self.begin(x, freedom, &streams())?;
         let problem = self.course.problem;
         let force_sigma = problem.force_sigma_at(freedom.force, self.force_scale);
-        let begin = self.swarm.horizon.floor() as usize;
         let mut evidence = 0.0;
         for (block, placed) in self.blocks.iter().zip(&self.placed) {
-            if block.first < begin {
+            if block.first < self.begin {
                 continue;
             }
             let mut left = 1.0;
@@ -238,21 +244,19 @@ impl<'a> Follower<'a> {
             .map(|s| s * rng::normal(&mut rng))
             .collect();
         let free = problem.free_values(&one.x);
-        let controls = self.course.controls(block.trial, &one.x);
+        let controls = &self.controls[block.trial];
         let state = &one.states[block.trial];
         Simulator::with(problem, &self.pool, &one.x, |simulator| {
             let push = &mut |_: usize, out: &mut [f64]| out.copy_from_slice(&force);
-            let Some(simulated) = simulator.run_with(block, state, &controls, push)? else {
+            let Some(simulated) = simulator.run_with(block, state, controls, push)? else {
                 return Ok((state.clone(), f64::NEG_INFINITY));
             };
-            let mut fit = 0.0;
+            let samples = &problem.trials[block.trial].samples;
             let predicted = simulated.samples(problem, block, placed);
+            let mut fit = 0.0;
             for (p, (z, _)) in placed.iter().zip(predicted) {
-                let s = &problem.trials[block.trial].samples[p.sample];
-                let channel = &problem.channels[s.channel];
-                let reading = channel.gain.value(&free) * z + channel.bias.value(&free);
-                let residual = (reading - s.value) / (channel.sigma * s.spread);
-                fit -= channel.norm.cost(residual);
+                let channel = &problem.channels[samples[p.sample].channel];
+                fit -= (self.course).cost(block.trial, p, channel.reading(&free, z));
             }
             Ok((simulated.end, fit))
         })

@@ -30,10 +30,11 @@ mod follow;
 mod kernel;
 mod swarm;
 
-use super::SysidError;
 use super::fit::{Fit, Iteration, Start, Status};
 use super::parameter::Parameter;
 use super::problem::Problem;
+use super::shooting::window;
+use super::{SysidError, joint, path, start};
 use course::Course;
 use first::First;
 use follow::{Follower, Freedom};
@@ -129,12 +130,9 @@ pub fn solve(
     watch: &mut dyn FnMut(&Iteration) -> bool,
 ) -> Result<Fit, SysidError> {
     settings.check()?;
-    let problem = &*super::path::remember(problem, &start.x)?;
-    let smoothed = match &start.trajectories {
-        Some(given) => given.clone(),
-        None => first::smoothed(problem, &start.x)?,
-    };
-    let windows = super::shooting::window::cut(problem, f64::INFINITY);
+    let problem = &*path::remember(problem, &start.x)?;
+    let smoothed = start::trajectories(problem, start)?;
+    let windows = window::cut(problem, f64::INFINITY);
     let firsts = (problem.trials.iter().zip(&windows).zip(&smoothed))
         .map(|((trial, window), qpos)| {
             if settings.at_rest {
@@ -147,7 +145,7 @@ pub fn solve(
     let ranges = (problem.parameters.iter_free().zip(&start.x))
         .map(|(p, x)| range(p, *x))
         .collect();
-    let course = Course::new(problem, &start.x, ranges, firsts);
+    let course = Course::new(problem, &start.x, ranges, (windows, firsts));
     let mut history = Vec::new();
     let mut record = |iteration: Iteration| {
         history.push(iteration);
@@ -167,7 +165,7 @@ pub fn solve(
     if status == Status::Converged && is_open && settings.passes > 0 {
         let scale = match &start.force_scale {
             Some(given) => given.clone(),
-            None => super::joint::force_scale(problem, &start.x)?,
+            None => joint::force_scale(problem, &start.x)?,
         };
         let follower = Follower::new(
             &course,

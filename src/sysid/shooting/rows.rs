@@ -71,7 +71,7 @@ impl Point<'_> {
         for (p, (z, _)) in self.placed[w].iter().zip(predicted) {
             let s = &samples[p.sample];
             let channel = &self.problem.channels[s.channel];
-            let predicted = channel.gain.value(&free) * z + channel.bias.value(&free);
+            let predicted = channel.reading(&free, z);
             sum += channel.norm.cost((predicted - s.value) / channel.sigma);
         }
         if let (Some(sigma), true) = (jump_sigma, window.followed && window.whole) {
