@@ -91,7 +91,8 @@ impl<'a> Follower<'a> {
         force_scale: &'a [f64],
         n: usize,
     ) -> Self {
-        let begin = swarm.horizon.floor() as usize;
+        // a simulation has made a step at least
+        let begin = (swarm.horizon.floor() as usize).max(1);
         let mut blocks = Vec::new();
         for whole in &course.windows {
             let mut first = 0;
@@ -145,7 +146,7 @@ impl<'a> Follower<'a> {
             .into_par_iter()
             .map(|i| {
                 let z = &self.swarm.all[drawn[i * drawn.len() / self.n]].z;
-                let simulated = self.course.simulate(z, self.begin.max(1))?;
+                let simulated = self.course.simulate(z, self.begin)?;
                 Ok(simulated.map(|all| One {
                     states: all.into_iter().map(|s| s.end).collect(),
                     x: z[..x.len()].to_vec(),
@@ -223,10 +224,7 @@ impl<'a> Follower<'a> {
         }
         let rest: Vec<f64> = all.iter().map(|p| p.weight).collect();
         evidence += log_mean(&rest);
-        let sum: f64 = rest.iter().map(|w| w.exp()).sum();
-        let x = (0..x.len())
-            .map(|j| all.iter().map(|p| p.weight.exp() / sum * p.x[j]).sum())
-            .collect();
+        let x = mean(&all);
         Ok(Some(Passed { x, evidence }))
     }
 
@@ -308,6 +306,16 @@ impl<'a> Follower<'a> {
     }
 }
 
+/// Mean of the parameters, by the weights.
+fn mean(all: &[One]) -> Vec<f64> {
+    let weights: Vec<f64> = all.iter().map(|p| p.weight).collect();
+    // logs of weights may lie far below what a number holds
+    let total = log_mean(&weights) + (weights.len() as f64).ln();
+    (0..all[0].x.len())
+        .map(|j| all.iter().map(|p| (p.weight - total).exp() * p.x[j]).sum())
+        .collect()
+}
+
 /// The largest part t up to `left` after which `least` simulations count.
 fn most_of(left: f64, least: f64, weights: &dyn Fn(f64) -> Vec<f64>) -> f64 {
     const HALVINGS: usize = 40;
@@ -329,6 +337,17 @@ fn most_of(left: f64, least: f64, weights: &dyn Fn(f64) -> Vec<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_mean_by_weights_of_any_size() {
+        let one = |x: f64, weight: f64| One {
+            states: Vec::new(),
+            x: vec![x],
+            weight,
+        };
+        let found = mean(&[one(1.0, -2000.0), one(5.0, -2000.0 + 3.0_f64.ln())]);
+        assert!((found[0] - 4.0).abs() < 1e-9, "{found:?}");
+    }
 
     #[test]
     fn a_part_of_a_likelihood_leaves_as_many_as_asked() {
