@@ -153,6 +153,7 @@ fn it_goes_no_farther_than_the_model_follows() {
     let fit = solve(&problem, &settings(20, true, 0), problem.parameters.start());
     let horizon = fit.horizon_s.expect("part of it");
     assert!((0.4..=0.52).contains(&horizon), "{horizon}");
+    assert_eq!(fit.level, 0.0, "no force makes a reading jump by 5 cm");
     for (x, truth) in fit.x.iter().zip(TRUTH) {
         assert!((x - truth.ln()).abs() < 0.1, "{}, {truth}", x.exp());
     }

@@ -128,6 +128,13 @@ impl<'a> Follower<'a> {
         self.course.problem
     }
 
+    /// Samples behind the horizon.
+    pub(super) fn n_samples(&self) -> usize {
+        let blocks = self.blocks.iter().zip(&self.placed);
+        let behind = blocks.filter(|(block, _)| block.first >= self.begin);
+        behind.map(|(_, placed)| placed.len()).sum()
+    }
+
     /// Simulations at the horizon, near `x`.
     fn begin(
         &self,

@@ -82,6 +82,8 @@ const COOL: f64 = 0.7;
 const LEAST_SPREAD: f64 = 0.2;
 /// Simulations of a pass for each chain.
 const PER_CHAIN: usize = 20;
+/// Cost of a pass, in what noise alone costs, from which it does not follow the recordings.
+const UNFOLLOWED: f64 = 2.0;
 /// Evidence (nats) by which a pass may lie below the best without having lost the motion for a while.
 const LOST: f64 = 15.0;
 /// Stirring below which the swarm has come to its end.
@@ -290,7 +292,9 @@ fn behind(
             force,
             spread: &spread,
         };
-        let Some(passed) = follower.pass(number, &x, &freedom)? else {
+        let most = UNFOLLOWED * 0.5 * follower.n_samples() as f64;
+        let passed = follower.pass(number, &x, &freedom)?;
+        let Some(passed) = passed.filter(|p| -p.evidence <= most) else {
             force = (force * FREER).min(1.0);
             continue;
         };
