@@ -16,6 +16,9 @@ use super::problem::{Problem, Stage, Trial};
 use super::smooth::smooth;
 use crate::mujoco::{Contact, Data, Model};
 
+/// Knots fitted one from the other: a fixed number, so that the start is the same on any number of cores.
+const PART: usize = 256;
+
 /// Positions of all knots (`n_knots` × nq).
 pub(crate) fn trajectory(
     problem: &Problem,
@@ -45,17 +48,13 @@ pub(crate) fn trajectory(
             })
         })
         .collect();
-    let size = trial
-        .n_knots
-        .div_ceil(2 * rayon::current_num_threads())
-        .max(64);
-    let starts: Vec<usize> = (0..trial.n_knots).step_by(size).collect();
+    let starts: Vec<usize> = (0..trial.n_knots).step_by(PART).collect();
     let parts: Vec<Result<Vec<f64>, SysidError>> = starts
         .into_par_iter()
         .map(|from| {
             let mut pose = Pose::new(problem, x)?;
             let mut out = Vec::new();
-            for k in from..(from + size).min(trial.n_knots) {
+            for k in from..(from + PART).min(trial.n_knots) {
                 let goals: Vec<(usize, f64)> = signals.iter().map(|(c, s)| (*c, s[k])).collect();
                 pose.fit(&goals, if k == from { 30 } else { 2 })?;
                 out.extend_from_slice(pose.data.qpos());
