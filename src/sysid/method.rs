@@ -3,6 +3,7 @@
 use super::SysidError;
 use super::fit::{Fit, Iteration, Start};
 use super::joint::{self, JointSettings};
+use super::nudging::{self, NudgingSettings};
 use super::predict::{self, Explained};
 use super::problem::Problem;
 use super::rollouts::{self, RolloutSettings};
@@ -24,6 +25,8 @@ pub enum Method {
     Shooting(ShootingSettings),
     /// rollouts from recorded states are compared with the recordings, and parameters searched without slopes
     Rollout(RolloutSettings),
+    /// simulations of whole recordings are nudged along the recorded motion
+    Nudging(NudgingSettings),
     /// a swarm of simulations sees more and more of the recordings
     Sequential(SequentialSettings),
 }
@@ -35,7 +38,7 @@ impl Method {
     /// The first.
     pub fn fits(&self, problem: &Problem) -> Result<(), SysidError> {
         match self {
-            Self::Joint(_) | Self::Rollout(_) | Self::Sequential(_) => Ok(()),
+            Self::Joint(_) | Self::Nudging(_) | Self::Rollout(_) | Self::Sequential(_) => Ok(()),
             Self::Shooting(settings) => settings.fits(problem),
         }
     }
@@ -53,6 +56,7 @@ impl Method {
         match self {
             Self::Joint(settings) => joint::solve(problem, settings, start, watch),
             Self::Shooting(settings) => shooting::solve(problem, settings, start, watch),
+            Self::Nudging(settings) => nudging::solve(problem, settings, start, watch),
             Self::Rollout(settings) => rollouts::solve(problem, settings, start, watch),
             Self::Sequential(settings) => sequential::solve(problem, settings, start, watch),
         }
@@ -78,7 +82,7 @@ impl Method {
                 window_s: fit.horizon_s.map_or(f64::INFINITY, |s| PART * s),
                 ..ShootingSettings::default()
             }),
-            Self::Shooting(_) | Self::Rollout(_) => self.clone(),
+            Self::Shooting(_) | Self::Rollout(_) | Self::Nudging(_) => self.clone(),
         }
     }
 
@@ -99,7 +103,7 @@ impl Method {
     /// The engine refuses a number.
     pub fn explain(&self, problem: &Problem, fit: &Fit) -> Result<Vec<Explained>, SysidError> {
         let mut explained = predict::explain(problem, &fit.x, &fit.trajectories)?;
-        if let Self::Shooting(_) | Self::Rollout(_) | Self::Sequential(_) = self {
+        if !matches!(self, Self::Joint(_)) {
             // windows and rollouts obey the model; what inverse dynamics would make of the jumps between them is no force
             for trial in &mut explained {
                 trial.force.fill(0.0);

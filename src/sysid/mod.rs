@@ -45,6 +45,7 @@ mod manifold;
 pub mod method;
 mod newton;
 pub mod norm;
+pub mod nudging;
 pub mod parameter;
 pub mod path;
 mod point;

@@ -102,7 +102,7 @@ impl<'a> Pose<'a> {
     }
 
     /// Whitened derivatives of `channels`, then of equality constraints, at `qpos`.
-    fn derivatives(
+    pub(super) fn derivatives(
         &mut self,
         qpos: &[f64],
         channels: &[usize],

@@ -12,6 +12,7 @@ mod coverage;
 mod inverse;
 mod late;
 mod mjcf;
+mod nudging;
 mod push;
 mod rollouts;
 mod sequential;

@@ -75,6 +75,10 @@ fn mistakes_are_named_with_exit_code_2() {
             "is already set by `joint/hinge damping`",
         ),
         (
+            &["--parameters", "p.toml", "log1.mcap", "--pull", "5"],
+            "--pull is for --method nudging",
+        ),
+        (
             &["--parameters", "p.toml", "log1.mcap", "--at-rest"],
             "--at-rest is for --method sequential",
         ),

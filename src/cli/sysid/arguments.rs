@@ -10,6 +10,7 @@ use crate::recording::{Binding, Recording, read_trials};
 use crate::sysid::SysidError;
 use crate::sysid::joint::JointSettings;
 use crate::sysid::method::Method;
+use crate::sysid::nudging::NudgingSettings;
 use crate::sysid::rollouts::RolloutSettings;
 use crate::sysid::sequential::SequentialSettings;
 use crate::sysid::shooting::ShootingSettings;
@@ -21,6 +22,8 @@ enum MethodName {
     Joint,
     /// Simulations of windows whose first states are estimated
     Shooting,
+    /// Simulations of whole recordings that weak forces nudge along the recorded motion; for motion in contact
+    Nudging,
     /// Rollouts from recorded states, as `phantom compare` makes them by the protocol; searched without slopes
     Rollout,
     /// A swarm of simulations that sees more and more of the recordings, for chaotic motion in contact; few parameters
@@ -73,13 +76,16 @@ pub(super) struct FitArgs {
     /// Windows of shooting start from the measured states as they are
     #[arg(long)]
     hold_states: bool,
+    /// Natural frequency with which --method nudging pulls simulations along the recorded motion, Hz [default: 5]
+    #[arg(long, value_name = "HZ", value_parser = positive)]
+    pull: Option<f64>,
     /// Chains of simulations of --method sequential; more follow chaotic motion farther [default: 100]
     #[arg(long, value_name = "N", value_parser = count)]
     chains: Option<usize>,
     /// Recordings begin at rest: velocities are 0, what no sensor shows is as in the model (--method sequential)
     #[arg(long)]
     at_rest: bool,
-    /// Most iterations (joint: at a level of unexplained force; rollout: generations; sequential: horizons)
+    /// Most iterations (joint: at a level of unexplained force; rollout: generations; sequential: horizons; nudging: ensembles)
     #[arg(long, value_name = "N", value_parser = count)]
     max_iterations: Option<usize>,
     /// Also fit without each sensor, and predict it
@@ -120,6 +126,12 @@ impl FitArgs {
                 windows,
             ),
             (
+                "--pull",
+                self.pull.is_some(),
+                MethodName::Nudging,
+                "nudging",
+            ),
+            (
                 "--chains",
                 self.chains.is_some(),
                 MethodName::Sequential,
@@ -144,6 +156,13 @@ impl FitArgs {
                 max_iterations: self.max_iterations.unwrap_or(joint.max_iterations),
                 ..joint
             })),
+            MethodName::Nudging => {
+                let nudging = NudgingSettings::default();
+                Ok(Method::Nudging(NudgingSettings {
+                    hz: self.pull.unwrap_or(nudging.hz),
+                    max_iterations: self.max_iterations.unwrap_or(nudging.max_iterations),
+                }))
+            }
             MethodName::Rollout => {
                 let rollout = RolloutSettings::default();
                 Ok(Method::Rollout(RolloutSettings {

@@ -42,6 +42,7 @@ use crate::sysid::{check, holdout, leave_out};
   phantom sysid --model toss.xml --parameters toss.toml tosses.csv.gz --out id --method shooting --window inf
   phantom sysid --model cube.xml --parameters cube.toml tosses.csv.gz --protocol drops.toml --out id --method rollout
   phantom sysid --model push.xml --parameters push.toml push.mcap --out id --method sequential --at-rest
+  phantom sysid --model hand.xml --parameters contact.toml slide.mcap push.mcap --out id --method nudging
   phantom sysid design --model arm.xml --parameters arm.toml          what to record next"
 )]
 pub(super) struct SysidArgs {

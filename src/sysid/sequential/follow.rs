@@ -252,7 +252,8 @@ impl<'a> Follower<'a> {
         let controls = &self.controls[block.trial];
         let state = &one.states[block.trial];
         Simulator::with(problem, &self.pool, &one.x, |simulator| {
-            let push = &mut |_: usize, out: &mut [f64]| out.copy_from_slice(&force);
+            let push =
+                &mut |_: usize, _: (&[f64], &[f64]), out: &mut [f64]| out.copy_from_slice(&force);
             let Some(simulated) = simulator.run_with(block, state, controls, push)? else {
                 return Ok((state.clone(), f64::NEG_INFINITY));
             };

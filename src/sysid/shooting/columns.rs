@@ -75,7 +75,7 @@ impl Point<'_> {
                     .map(|&w| {
                         let window = &self.windows[w];
                         let controls = &controls[window.trial];
-                        simulator.run_with(window, &self.states[w], controls, &mut |k, force| {
+                        simulator.run_with(window, &self.states[w], controls, &mut |k, _, force| {
                             push(w, k, force);
                         })
                     })

@@ -64,6 +64,9 @@ impl Pool {
     }
 }
 
+/// Sets the forces (nv) at a knot, counted from the window's first, where position and velocity are these.
+pub(crate) type Push<'p> = dyn FnMut(usize, (&[f64], &[f64]), &mut [f64]) + 'p;
+
 /// A simulation with parameters of its own.
 pub(crate) struct Simulator<'a> {
     problem: &'a Problem,
@@ -103,16 +106,16 @@ impl<'a> Simulator<'a> {
         state: &State,
         controls: &[f64],
     ) -> Result<Option<Simulated>, SysidError> {
-        self.run_with(window, state, controls, &mut |_, _| ())
+        self.run_with(window, state, controls, &mut |_, _, _| ())
     }
 
-    /// The same, with forces at the degrees of freedom (nv) that `push` sets at each knot, counted from the window's first.
+    /// The same, with forces at the degrees of freedom that `push` sets.
     pub(crate) fn run_with(
         &mut self,
         window: &Window,
         state: &State,
         controls: &[f64],
-        push: &mut dyn FnMut(usize, &mut [f64]),
+        push: &mut Push<'_>,
     ) -> Result<Option<Simulated>, SysidError> {
         let Self {
             problem,
@@ -125,6 +128,7 @@ impl<'a> Simulator<'a> {
         let mut sensors = vec![0.0; window.len() * n_channels];
         let mut qpos = Vec::with_capacity(window.len() * nq);
         let mut end = state.clone();
+        let mut qvel = state.qvel.clone();
         let mut contacts = Contacts::new();
         data.restore_state(initial)?;
         data.clear_warnings();
@@ -147,7 +151,9 @@ impl<'a> Simulator<'a> {
                 end.qpos.copy_from_slice(data.qpos());
                 end.qvel.copy_from_slice(data.qvel());
             }
-            push(k - window.first, data.qfrc_applied_mut());
+            let position = &qpos[qpos.len() - nq..];
+            qvel.copy_from_slice(data.qvel());
+            push(k - window.first, (position, &qvel), data.qfrc_applied_mut());
             self::read(problem, &problem.model, data, row, false);
             // the step leaves the sensors of its beginning
             data.step()?;

@@ -1,0 +1,230 @@
+//! Gauss-Newton over ensembles that become narrower.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::course::{Course, Here};
+use super::ensemble::Ensemble;
+use crate::sysid::SysidError;
+use crate::sysid::box_qp::solve_in_box;
+use crate::sysid::fit::{Fit, Innovations, Iteration, Status};
+use crate::sysid::parameter::Parameter;
+use crate::sysid::problem::Problem;
+
+/// Spread of the first ensemble, in prior spreads, or in sizes where there are none.
+const WIDE: [f64; 2] = [0.3, 0.1];
+/// Spread of an ensemble, in standard deviations of the estimate.
+const SPREAD: f64 = 4.0;
+/// Least change of a spread from ensemble to ensemble.
+const SHRINK: f64 = 0.5;
+/// Farthest a parameter goes in one step, in spreads.
+const FAR: f64 = 2.0;
+/// Parts of a step that are tried.
+const PARTS: [f64; 3] = [1.0, 0.5, 0.25];
+/// Rise of F that is taken for chaos, in parts of the ensemble's roughness.
+const CHAOS: f64 = 0.5;
+/// Fall of F that is one, in parts of what chaos leaves in an ensemble's mean.
+const FALL: f64 = 2.0;
+/// Ensembles without a lower cost after which there is none.
+const PATIENCE: usize = 2;
+/// Ensembles at the end that are averaged.
+const LAST: usize = 4;
+
+/// The present point of the search.
+pub(super) struct Search<'a> {
+    course: Course<'a>,
+    x: Vec<f64>,
+    /// one simulation there
+    here: Here,
+    spreads: Vec<f64>,
+    /// least cost of an ensemble's mean so far, and ensembles since
+    least: (f64, usize),
+    /// centres of steps and ensembles that are averaged, once the cost no longer falls; before, only the last
+    last: Vec<(Vec<f64>, Ensemble)>,
+}
+
+impl<'a> Search<'a> {
+    pub(super) fn new(problem: &'a Problem, hz: f64, x: &[f64]) -> Result<Self, SysidError> {
+        let course = Course::new(problem, hz, x)?;
+        Ok(Self {
+            here: course.at(x)?.ok_or_else(broken)?,
+            course,
+            x: x.to_vec(),
+            spreads: problem.parameters.iter_free().map(first_spread).collect(),
+            least: (f64::INFINITY, 0),
+            last: Vec::new(),
+        })
+    }
+
+    fn is_still(&self) -> bool {
+        self.least.1 > PATIENCE
+    }
+
+    /// Whether enough ensembles have been averaged.
+    pub(super) fn is_done(&self) -> bool {
+        self.is_still() && self.last.len() == LAST
+    }
+
+    /// One ensemble, and the step that it asks for; none where no simulation goes there.
+    pub(super) fn advance(&mut self) -> Result<Option<Iteration>, SysidError> {
+        let ensemble = Ensemble::new(&self.course, &self.x, &self.spreads)?;
+        let was_still = self.is_still();
+        if !was_still {
+            let cost = self.course.cost(&self.x, ensemble.mean.as_slice());
+            let chaos = FALL * ensemble.rough / ensemble.n as f64;
+            self.least = if cost < self.least.0 - chaos {
+                (cost, 0)
+            } else {
+                (self.least.0, self.least.1 + 1)
+            };
+        }
+        let (dx, sigma) = self.step(&ensemble);
+        let Some((cost, x, here)) = self.along(&dx, &ensemble)? else {
+            return Ok(None);
+        };
+        if !was_still {
+            self.last.clear();
+        }
+        self.last.push((x.clone(), ensemble));
+        (self.x, self.here) = (x, here);
+        for (spread, sigma) in self.spreads.iter_mut().zip(&sigma) {
+            *spread = (SPREAD * sigma).clamp(SHRINK * *spread, *spread);
+        }
+        if !self.is_still() {
+            self.course.pull_again(&self.x, &self.here)?;
+            self.here = self.course.at(&self.x)?.ok_or_else(broken)?;
+        }
+        let length = (dx.iter().zip(&sigma)).fold(0.0_f64, |m, (d, s)| m.max((d / s).abs()));
+        Ok(Some(Iteration {
+            level: 0.0,
+            cost,
+            damping: 0.0,
+            horizon_s: None,
+            step: length,
+            x: self.x.clone(),
+        }))
+    }
+
+    /// The step within bounds, and standard deviations. What chaos adds to the squares of slopes damps it.
+    fn step(&self, ensemble: &Ensemble) -> (Vec<f64>, Vec<f64>) {
+        let parameters = &self.course.problem.parameters;
+        let weights = self.course.weights(ensemble.mean.as_slice());
+        let slopes = ensemble.whitened(&weights);
+        let mut normal: DMatrix<f64> = slopes.tr_mul(&slopes);
+        let mut right: DVector<f64> = -slopes.tr_mul(&ensemble.mean.component_mul(&weights));
+        for (i, (precision, slope)) in parameters.prior_slopes(&self.x).enumerate() {
+            normal[(i, i)] += precision;
+            right[i] -= slope;
+        }
+        let (low, high): (Vec<f64>, Vec<f64>) = (parameters.reach(&self.x).zip(&self.spreads))
+            .map(|((low, high), s)| (low.max(-FAR * s), high.min(FAR * s)))
+            .unzip();
+        let dx = solve_in_box(&normal, &right, &low, &high);
+        let sigma = match normal.cholesky() {
+            Some(factor) => (factor.inverse().diagonal().iter())
+                .map(|v| v.sqrt())
+                .collect(),
+            None => self.spreads.clone(),
+        };
+        (dx, sigma)
+    }
+
+    /// As far along a step as a simulation asks for, with its cost; none where all diverge.
+    fn along(
+        &self,
+        dx: &[f64],
+        ensemble: &Ensemble,
+    ) -> Result<Option<(f64, Vec<f64>, Here)>, SysidError> {
+        let enough = self.course.cost(&self.x, &self.here.bins) + CHAOS * ensemble.rough;
+        let mut best: Option<(f64, Vec<f64>, Here)> = None;
+        for part in PARTS {
+            let x: Vec<f64> = self.x.iter().zip(dx).map(|(x, d)| x + part * d).collect();
+            let Some(here) = self.course.at(&x)? else {
+                continue;
+            };
+            let cost = self.course.cost(&x, &here.bins);
+            if best.as_ref().is_none_or(|b| cost < b.0) {
+                best = Some((cost, x, here));
+            }
+            if best.as_ref().is_some_and(|b| b.0 < enough) {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// The fit: the mean over the last ensembles.
+    pub(super) fn conclude(
+        mut self,
+        status: Status,
+        history: Vec<Iteration>,
+    ) -> Result<Fit, SysidError> {
+        let n = self.last.len() as f64;
+        if n > 1.0 {
+            self.x.fill(0.0);
+            for (x, _) in &self.last {
+                self.x.iter_mut().zip(x).for_each(|(m, x)| *m += x / n);
+            }
+            self.here = self.course.at(&self.x)?.ok_or_else(broken)?;
+        }
+        let cost = self.course.cost(&self.x, &self.here.bins);
+        let innovations = self.innovations();
+        let simulated = self.here.simulated.into_iter();
+        Ok(Fit {
+            trajectories: simulated.map(|s| s.qpos).collect(),
+            cost,
+            negative_log_evidence: cost,
+            level: 0.0,
+            force_sigma: vec![0.0; self.course.problem.model.nv()],
+            horizon_s: None,
+            status,
+            history,
+            innovations,
+            weakest: (1.0, 0, 0, 0),
+            x: self.x,
+        })
+    }
+
+    /// Whitened slopes and deviations, means over the last ensembles, in the order of time.
+    fn innovations(&self) -> Innovations {
+        let n = self.last.len() as f64;
+        let n_bins = self.here.bins.len();
+        let mut mean = DVector::zeros(n_bins);
+        let mut slopes = DMatrix::zeros(n_bins, self.x.len());
+        for (_, ensemble) in &self.last {
+            mean += &ensemble.mean / n;
+            slopes += &ensemble.slopes / n;
+        }
+        let weights = self.course.weights(mean.as_slice());
+        let mut order: Vec<usize> = (0..n_bins).collect();
+        let place = |i: &usize| self.course.bins.all[*i].place;
+        order.sort_by_key(place);
+        let mut innovations = Innovations {
+            n_parameters: self.x.len(),
+            places: order.iter().map(place).collect(),
+            ..Innovations::default()
+        };
+        for i in order {
+            let row = slopes.row(i);
+            (innovations.rows).extend(row.iter().map(|s| s * weights[i]));
+            innovations.rows.push(-mean[i] * weights[i]);
+        }
+        innovations
+    }
+}
+
+fn broken() -> SysidError {
+    SysidError::Setting {
+        reason:
+            "a simulation diverges from the recorded motion: start nearer, or pull more (--pull)"
+                .into(),
+    }
+}
+
+/// Spread of a parameter in the first ensemble.
+fn first_spread(parameter: &Parameter) -> f64 {
+    if parameter.prior_sigma.is_finite() {
+        WIDE[0] * parameter.prior_sigma
+    } else {
+        WIDE[1] * parameter.typical
+    }
+}
