@@ -20,7 +20,7 @@
 //!
 //! is minimised by Gauss-Newton. With contacts made and broken simulations are chaotic in small: a change of 10⁻⁹ comes
 //! out like one of 10⁻³. r and its slopes are therefore a regression over an ensemble, in which every parameter is moved
-//! at once (see [`ensemble`]), first widely, then by a few standard deviations of the estimate. Smoothed readings have
+//! at once (module `ensemble`), first widely, then by a few standard deviations of the estimate. Smoothed readings have
 //! lost the edges of the motion, so that pulls along them act where nothing is missing; from the second ensemble on
 //! simulations are pulled along the last one, corrected by what its smoothed deviations say.
 //!
