@@ -17,8 +17,9 @@ pub(super) struct Bin {
 
 /// Bins of one channel in one trial.
 pub(super) struct Series {
-    channel: usize,
     pub bins: Range<usize>,
+    /// variance of the readings' noise in a bin
+    pub noise: f64,
 }
 
 /// All bins of a problem.
@@ -61,10 +62,13 @@ impl Bins {
                     bins.all[own].n += 1.0;
                     of[s] = own;
                 }
-                if bins.all.len() > first {
+                let own = first..bins.all.len();
+                if !own.is_empty() {
+                    let n: f64 = bins.all[own.clone()].iter().map(|b| b.n).sum();
+                    let sigma = problem.channels[channel].sigma;
                     bins.series.push(Series {
-                        channel,
-                        bins: first..bins.all.len(),
+                        noise: sigma.powi(2) * own.len() as f64 / n,
+                        bins: own,
                     });
                 }
             }
@@ -92,12 +96,5 @@ impl Bins {
             let reading = problem.channels[sample.channel].reading(free, z);
             out[bin] += (reading - sample.value) / self.all[bin].n;
         }
-    }
-
-    /// Variance of the noise in a bin of a series.
-    pub(super) fn noise(&self, problem: &Problem, series: usize) -> f64 {
-        let Series { channel, bins } = &self.series[series];
-        let n: f64 = self.all[bins.clone()].iter().map(|b| b.n).sum();
-        problem.channels[*channel].sigma.powi(2) * bins.len() as f64 / n
     }
 }

@@ -56,11 +56,9 @@ impl Ensemble {
         let mean = fitted.row(0).transpose();
         let weights = course.weights(mean.as_slice());
         let left = bins - &moves * &fitted;
-        let square =
-            |row: nalgebra::DVectorView<'_, f64>| row.component_mul(&weights).norm_squared();
-        let left = left.transpose();
-        let dof = (found.len() as f64 - moves.ncols() as f64).max(1.0);
-        let rough = left.column_iter().map(square).sum::<f64>() / dof;
+        let squares = left.column_iter().map(|bin| bin.norm_squared());
+        let square: f64 = squares.zip(&weights).map(|(s, w)| s * w * w).sum();
+        let rough = square / (found.len() - moves.ncols()) as f64;
         let mut slopes = fitted.rows_range(1..).transpose();
         for (mut column, spread) in slopes.column_iter_mut().zip(spreads) {
             column /= *spread;

@@ -2,7 +2,7 @@
 //!
 //! Readings are turned into positions once, by the instruments as they then are. Where a bias or delay is estimated, the
 //! motion moves with it, by the pseudo-inverse of the sensors' derivatives at the first knot; a gain counts when the motion
-//! is next corrected ([`Pull::again`]). Only what readings show is pulled: how an object turns that no sensor shows is left
+//! is next corrected ([`Pull::correct`]). Only what readings show is pulled: how an object turns that no sensor shows is left
 //! to the model. M' is the inertia felt there with the rest free to follow,
 //!
 //! ```text
@@ -11,7 +11,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::mujoco::Model;
+use crate::mujoco::{Data, Model};
 use crate::sysid::pose::Pose;
 use crate::sysid::problem::{Problem, Setting};
 use crate::sysid::shooting::simulate::Simulated;
@@ -99,15 +99,15 @@ impl Pull {
         })
     }
 
-    /// The same pull along what a simulation has made of it, corrected by what the readings still deviate: smoothing readings
-    /// takes the edges off the motion, which deviations have less of.
-    pub(super) fn again(
-        &self,
+    /// From now on along what a simulation has made of the motion, corrected by what the readings still deviate: smoothing
+    /// readings takes the edges off the motion, which deviations have less of.
+    pub(super) fn correct(
+        &mut self,
         problem: &Problem,
         (window, placed): (&Window, &[Placed]),
         simulated: &Simulated,
         x: &[f64],
-    ) -> Result<Self, SysidError> {
+    ) -> Result<(), SysidError> {
         let model = &problem.model;
         let (nq, nv, h) = (model.nq(), model.nv(), model.timestep());
         let free = problem.free_values(x);
@@ -130,22 +130,14 @@ impl Pull {
             let smoothed = DVector::from_vec(smooth(&series[c], sigma, times));
             shifts += self.back.column(i) / sigma * smoothed.transpose();
         }
-        let mut qpos = simulated.qpos.clone();
-        for (row, shift) in qpos.chunks_exact_mut(nq).zip(shifts.column_iter()) {
+        self.qpos.copy_from_slice(&simulated.qpos);
+        for (row, shift) in self.qpos.chunks_exact_mut(nq).zip(shifts.column_iter()) {
             model.integrate_pos(row, shift.as_slice(), 1.0)?;
         }
-        Ok(Self {
-            first: State::on(problem, window, &qpos)?,
-            qvel: velocities(model, &qpos)?,
-            qpos,
-            read_with: free,
-            inertia: self.inertia.clone(),
-            back: self.back.clone(),
-            channels: self.channels.clone(),
-            biases: self.biases.clone(),
-            delays: self.delays.clone(),
-            omega: self.omega,
-        })
+        self.first = State::on(problem, window, &self.qpos)?;
+        self.qvel = velocities(model, &self.qpos)?;
+        self.read_with = free;
+        Ok(())
     }
 
     /// Change of the motion's position (nv) where it has the velocity `qvel`, for instruments with the numbers `free`.
@@ -170,26 +162,20 @@ impl Pull {
         self.first.moved(problem, &tangent)
     }
 
-    /// Sets `force` (nv) at a knot.
-    pub(super) fn set(
-        &self,
-        model: &Model,
-        knot: usize,
-        (qpos, qvel): (&[f64], &[f64]),
-        free: &[f64],
-        force: &mut [f64],
-    ) {
+    /// Sets the applied forces of a simulation that stands at `knot`.
+    pub(super) fn apply(&self, knot: usize, free: &[f64], data: &mut Data) {
+        let model = data.model();
         let (nq, nv) = (model.nq(), model.nv());
         let along = &self.qpos[knot * nq..(knot + 1) * nq];
         let velocity = &self.qvel[knot * nv..(knot + 1) * nv];
         let mut behind = vec![0.0; nv];
-        // lengths are those of the model
-        let _ = model.differentiate_pos(&mut behind, 1.0, qpos, along);
+        // fails for wrong lengths alone, and these are the model's own
+        let _ = model.differentiate_pos(&mut behind, 1.0, data.qpos(), along);
         let behind = DVector::from_vec(behind) + self.shift(free, velocity);
         let wanted = DVector::from_fn(nv, |i, _| {
-            self.omega * (self.omega * behind[i] + 2.0 * (velocity[i] - qvel[i]))
+            self.omega * (self.omega * behind[i] + 2.0 * (velocity[i] - data.qvel()[i]))
         });
-        force.copy_from_slice((&self.inertia * wanted).as_slice());
+        (data.qfrc_applied_mut()).copy_from_slice((&self.inertia * wanted).as_slice());
     }
 }
 

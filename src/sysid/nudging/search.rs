@@ -90,7 +90,7 @@ impl<'a> Search<'a> {
             *spread = (SPREAD * sigma).clamp(SHRINK * *spread, *spread);
         }
         if !self.is_still() {
-            self.course.pull_again(&self.x, &self.here)?;
+            self.course.correct(&self.x, &self.here)?;
             self.here = self.course.at(&self.x)?.ok_or_else(broken)?;
         }
         let length = (dx.iter().zip(&sigma)).fold(0.0_f64, |m, (d, s)| m.max((d / s).abs()));

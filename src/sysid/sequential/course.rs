@@ -4,10 +4,10 @@ use std::borrow::Cow;
 
 use super::first::First;
 use crate::sysid::SysidError;
-use crate::sysid::parameter::{Instrument, Role};
 use crate::sysid::problem::Problem;
 use crate::sysid::shooting::simulate::{Pool, Simulated, Simulator};
-use crate::sysid::shooting::window::{self, Placed, Window};
+use crate::sysid::shooting::window::{Placed, Window};
+use crate::sysid::timing::{Timing, Timings};
 
 /// Recordings, and where their simulations begin. Unknowns z are the free parameters, then those of each trial's first
 /// state.
@@ -19,29 +19,8 @@ pub(super) struct Course<'a> {
     pub firsts: Vec<First>,
     /// where x (free) are looked for
     pub ranges: Vec<(f64, f64)>,
-    /// at parameters that no delay depends on
-    timing: Option<Timing>,
+    timings: Timings,
     pool: Pool,
-}
-
-/// Which samples and commands belong to which step.
-#[derive(Clone)]
-struct Timing {
-    /// one a trial
-    placed: Vec<Vec<Placed>>,
-    /// one a trial (knots × nu)
-    controls: Vec<Vec<f64>>,
-}
-
-impl Timing {
-    fn new(problem: &Problem, windows: &[Window], x: &[f64]) -> Self {
-        Self {
-            placed: window::place(problem, windows, x),
-            controls: (problem.trials.iter())
-                .map(|t| problem.controls(t, x))
-                .collect(),
-        }
-    }
 }
 
 impl<'a> Course<'a> {
@@ -51,15 +30,8 @@ impl<'a> Course<'a> {
         ranges: Vec<(f64, f64)>,
         (windows, firsts): (Vec<Window>, Vec<First>),
     ) -> Self {
-        let late = |role: &Role| {
-            matches!(
-                role,
-                Role::Instrument(Instrument::Delay | Instrument::CommandDelay, _)
-            )
-        };
-        let is_late = problem.parameters.iter_free().any(|p| late(&p.role));
         Self {
-            timing: (!is_late).then(|| Timing::new(problem, &windows, x)),
+            timings: Timings::new(problem, &windows, x),
             problem,
             windows,
             firsts,
@@ -69,15 +41,12 @@ impl<'a> Course<'a> {
     }
 
     fn timing(&self, x: &[f64]) -> Cow<'_, Timing> {
-        match &self.timing {
-            Some(timing) => Cow::Borrowed(timing),
-            None => Cow::Owned(Timing::new(self.problem, &self.windows, x)),
-        }
+        self.timings.at(self.problem, &self.windows, x)
     }
 
     /// Whether a delay is among the parameters.
     pub(super) fn is_late(&self) -> bool {
-        self.timing.is_none()
+        self.timings.is_late()
     }
 
     /// Number of unknowns.

@@ -22,6 +22,7 @@ use rayon::prelude::*;
 use super::course::Course;
 use super::kernel::Kernel;
 use super::swarm::{Swarm, counting, draw, log_mean};
+use crate::mujoco::Data;
 use crate::rng::{self, Purpose};
 use crate::sysid::SysidError;
 use crate::sysid::problem::Problem;
@@ -253,7 +254,7 @@ impl<'a> Follower<'a> {
         let state = &one.states[block.trial];
         Simulator::with(problem, &self.pool, &one.x, |simulator| {
             let push =
-                &mut |_: usize, _: (&[f64], &[f64]), out: &mut [f64]| out.copy_from_slice(&force);
+                &mut |_: usize, data: &mut Data| data.qfrc_applied_mut().copy_from_slice(&force);
             let Some(simulated) = simulator.run_with(block, state, controls, push)? else {
                 return Ok((state.clone(), f64::NEG_INFINITY));
             };

@@ -75,8 +75,8 @@ impl Point<'_> {
                     .map(|&w| {
                         let window = &self.windows[w];
                         let controls = &controls[window.trial];
-                        simulator.run_with(window, &self.states[w], controls, &mut |k, _, force| {
-                            push(w, k, force);
+                        simulator.run_with(window, &self.states[w], controls, &mut |k, data| {
+                            push(w, k, data.qfrc_applied_mut());
                         })
                     })
                     .collect()

@@ -64,8 +64,8 @@ impl Pool {
     }
 }
 
-/// Sets the forces (nv) at a knot, counted from the window's first, where position and velocity are these.
-pub(crate) type Push<'p> = dyn FnMut(usize, (&[f64], &[f64]), &mut [f64]) + 'p;
+/// Sets the applied forces of a simulation that stands at a knot, counted from the window's first.
+pub(crate) type Push<'p> = dyn FnMut(usize, &mut Data) + 'p;
 
 /// A simulation with parameters of its own.
 pub(crate) struct Simulator<'a> {
@@ -106,10 +106,10 @@ impl<'a> Simulator<'a> {
         state: &State,
         controls: &[f64],
     ) -> Result<Option<Simulated>, SysidError> {
-        self.run_with(window, state, controls, &mut |_, _, _| ())
+        self.run_with(window, state, controls, &mut |_, _| ())
     }
 
-    /// The same, with forces at the degrees of freedom that `push` sets.
+    /// The same, with forces that `push` sets at each knot.
     pub(crate) fn run_with(
         &mut self,
         window: &Window,
@@ -128,7 +128,6 @@ impl<'a> Simulator<'a> {
         let mut sensors = vec![0.0; window.len() * n_channels];
         let mut qpos = Vec::with_capacity(window.len() * nq);
         let mut end = state.clone();
-        let mut qvel = state.qvel.clone();
         let mut contacts = Contacts::new();
         data.restore_state(initial)?;
         data.clear_warnings();
@@ -151,9 +150,7 @@ impl<'a> Simulator<'a> {
                 end.qpos.copy_from_slice(data.qpos());
                 end.qvel.copy_from_slice(data.qvel());
             }
-            let position = &qpos[qpos.len() - nq..];
-            qvel.copy_from_slice(data.qvel());
-            push(k - window.first, (position, &qvel), data.qfrc_applied_mut());
+            push(k - window.first, data);
             self::read(problem, &problem.model, data, row, false);
             // the step leaves the sensors of its beginning
             data.step()?;
