@@ -131,16 +131,11 @@ impl<'a> Course<'a> {
         weights
     }
 
-    /// What simulations at `points` make of all bins; those that diverge are left out.
-    pub(super) fn sample(&self, points: &[Vec<f64>]) -> Result<Vec<(usize, Vec<f64>)>, SysidError> {
-        let all: Vec<Result<Option<Here>, SysidError>> =
-            points.par_iter().map(|x| self.at(x)).collect();
-        let mut found = Vec::new();
-        for (i, here) in all.into_iter().enumerate() {
-            if let Some(here) = here? {
-                found.push((i, here.bins));
-            }
-        }
-        Ok(found)
+    /// What simulations at `points` make of all bins; those that diverge, or have numbers that the engine refuses, are left
+    /// out.
+    pub(super) fn sample(&self, points: &[Vec<f64>]) -> Vec<(usize, Vec<f64>)> {
+        (points.par_iter().enumerate())
+            .filter_map(|(i, x)| Some((i, self.at(x).ok()??.bins)))
+            .collect()
     }
 }

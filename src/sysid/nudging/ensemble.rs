@@ -35,7 +35,7 @@ impl Ensemble {
     /// About `x`, within the parameters' bounds.
     ///
     /// # Errors
-    /// The engine refuses a number.
+    /// Too many simulations diverge to tell slopes.
     pub(super) fn new(course: &Course<'_>, x: &[f64], spreads: &[f64]) -> Result<Self, SysidError> {
         let bounds = course.problem.parameters.iter_free().map(Parameter::bounds);
         let bounds: Vec<(f64, f64)> = bounds.collect();
@@ -45,7 +45,10 @@ impl Ensemble {
                 .collect()
         };
         let points: Vec<Vec<f64>> = design(x.len()).into_iter().map(move_by).collect();
-        let found = course.sample(&points)?;
+        let found = course.sample(&points);
+        if found.len() <= x.len() + 1 {
+            return Err(super::broken());
+        }
         let moves = DMatrix::from_fn(found.len(), x.len() + 1, |i, j| match j.checked_sub(1) {
             Some(j) => (points[found[i].0][j] - x[j]) / spreads[j],
             None => 1.0,

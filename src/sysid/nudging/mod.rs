@@ -121,3 +121,11 @@ pub fn solve(
     }
     search.conclude(status, history)
 }
+
+fn broken() -> SysidError {
+    SysidError::Setting {
+        reason:
+            "a simulation diverges from the recorded motion: start nearer, or pull more (--pull)"
+                .into(),
+    }
+}

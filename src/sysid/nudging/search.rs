@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::broken;
 use super::course::{Course, Here};
 use super::ensemble::Ensemble;
 use crate::sysid::SysidError;
@@ -78,7 +79,7 @@ impl<'a> Search<'a> {
             };
         }
         let (dx, sigma) = self.step(&ensemble);
-        let Some((cost, x, here)) = self.along(&dx, &ensemble)? else {
+        let Some((cost, x, here)) = self.along(&dx, &ensemble) else {
             return Ok(None);
         };
         if !was_still {
@@ -129,16 +130,13 @@ impl<'a> Search<'a> {
     }
 
     /// As far along a step as a simulation asks for, with its cost; none where all diverge.
-    fn along(
-        &self,
-        dx: &[f64],
-        ensemble: &Ensemble,
-    ) -> Result<Option<(f64, Vec<f64>, Here)>, SysidError> {
+    fn along(&self, dx: &[f64], ensemble: &Ensemble) -> Option<(f64, Vec<f64>, Here)> {
         let enough = self.course.cost(&self.x, &self.here.bins) + CHAOS * ensemble.rough;
         let mut best: Option<(f64, Vec<f64>, Here)> = None;
         for part in PARTS {
             let x: Vec<f64> = self.x.iter().zip(dx).map(|(x, d)| x + part * d).collect();
-            let Some(here) = self.course.at(&x)? else {
+            // a step may leave what the engine accepts: then it is none
+            let Ok(Some(here)) = self.course.at(&x) else {
                 continue;
             };
             let cost = self.course.cost(&x, &here.bins);
@@ -149,7 +147,7 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        Ok(best)
+        best
     }
 
     /// The fit: the mean over the last ensembles.
@@ -209,14 +207,6 @@ impl<'a> Search<'a> {
             innovations.rows.push(-mean[i] * weights[i]);
         }
         innovations
-    }
-}
-
-fn broken() -> SysidError {
-    SysidError::Setting {
-        reason:
-            "a simulation diverges from the recorded motion: start nearer, or pull more (--pull)"
-                .into(),
     }
 }
 
