@@ -3,8 +3,6 @@
 use std::sync::Arc;
 
 use phantom::mujoco::{Data, Model};
-use phantom::recording::{Kind, Recording, Stream};
-use phantom::rng::{self, Purpose};
 use phantom::sysid::SysidError;
 use phantom::sysid::fit::{Fit, Start, Status};
 use phantom::sysid::interval::Posterior;
@@ -13,8 +11,7 @@ use phantom::sysid::nudging::{NudgingSettings, solve};
 use phantom::sysid::parameter::ParameterRule;
 use phantom::sysid::problem::{ChannelRule, CommandTiming, Problem, ProblemConfig};
 
-use crate::push::channel;
-use crate::simulate::simulate;
+use crate::simulate::{recorded, simulate};
 
 /// A driven finger pushes a block on rails with dry friction, again and again. No spring holds it to the finger.
 const PUSHER: &str = r#"<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
@@ -31,7 +28,8 @@ const TRUTH: [f64; 3] = [0.3, 0.5, 0.05];
 /// m that the model has the block nearer
 const OFF_M: f64 = 3e-3;
 
-fn problem(norm: Norm) -> Problem {
+/// `beyond`: parameters besides mass, friction and place.
+fn problem(norm: Norm, beyond: Option<ParameterRule>) -> Problem {
     let model = Arc::new(Model::from_xml_str(PUSHER).expect("loads"));
     let mut data = Data::new(model.clone()).expect("data");
     let run = simulate(&mut data, 1500, |data, ctrl| {
@@ -39,42 +37,24 @@ fn problem(norm: Norm) -> Problem {
         ctrl[0] = 400.0 * (goal - data.qpos()[0]) - 10.0 * data.qvel()[0];
     });
     assert!(run.qpos[1499][1] > 0.02, "pushed to {}", run.qpos[1499][1]);
-    let names = ["fs", "bs"].map(|n| channel(n, Kind::Sensor, "m"));
-    let mut sensors = Stream::new("sensors", Some(500.0), names.to_vec());
-    let mut controls = Stream::new(
-        "controls",
-        Some(500.0),
-        vec![channel("m", Kind::Control, "N")],
-    );
-    let mut rng = rng::stream(5, Purpose::Model, 0, 0);
-    for (k, (s, u)) in run.sensordata.iter().zip(&run.ctrl).enumerate() {
-        let stamp = 2_000_000 * k as i64;
-        let noisy: Vec<f64> = s
-            .iter()
-            .map(|s| s + NOISE_M * rng::normal(&mut rng))
-            .collect();
-        sensors.push(stamp, &noisy);
-        controls.push(stamp, u);
-    }
-    let recording = Recording {
-        streams: vec![sensors, controls],
-        ..Recording::default()
-    };
+    let names = (["fs", "bs"].as_slice(), ["m"].as_slice());
+    let recording = recorded(&run, 500, names, NOISE_M, 5);
     let rule = |element, attribute, start: f64, prior_sigma| ParameterRule {
         start: Some(start),
         prior: Some(start),
         prior_sigma: Some(prior_sigma),
         ..ParameterRule::new(element, attribute)
     };
+    let own = [
+        rule("body/block", "mass", 0.5, 0.5),
+        rule("joint/b", "frictionloss", 0.9, 0.5),
+        ParameterRule {
+            components: vec![0],
+            ..rule("body/block", "pos", TRUTH[2] - OFF_M, 3e-3)
+        },
+    ];
     let config = ProblemConfig {
-        parameter: vec![
-            rule("body/block", "mass", 0.5, 0.5),
-            rule("joint/b", "frictionloss", 0.9, 0.5),
-            ParameterRule {
-                components: vec![0],
-                ..rule("body/block", "pos", TRUTH[2] - OFF_M, 3e-3)
-            },
-        ],
+        parameter: own.into_iter().chain(beyond).collect(),
         channel: vec![ChannelRule {
             name: "*".into(),
             noise_sigma: Some(NOISE_M),
@@ -98,7 +78,7 @@ fn identify(problem: &Problem, settings: &NudgingSettings) -> Result<Fit, SysidE
 
 #[test]
 fn mass_friction_and_place_of_what_is_pushed_come_back() {
-    let problem = problem(Norm::Quadratic);
+    let problem = problem(Norm::Quadratic, None);
     let fit = identify(&problem, &NudgingSettings::default()).expect("solved");
     assert_eq!(fit.status, Status::Converged);
     let lengths = [problem.trials[0].n_knots];
@@ -114,7 +94,7 @@ fn mass_friction_and_place_of_what_is_pushed_come_back() {
 
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
-    let problem = problem(Norm::Quadratic);
+    let problem = problem(Norm::Quadratic, None);
     let settings = NudgingSettings {
         max_iterations: 3,
         ..NudgingSettings::default()
@@ -140,7 +120,24 @@ fn what_it_cannot_use_is_refused() {
         assert!(error.to_string().contains(part), "{error}");
     };
     for hz in [0.0, f64::NAN, 50.0] {
-        refused(&problem(Norm::Quadratic), hz, "below 50 Hz");
+        refused(&problem(Norm::Quadratic, None), hz, "below 50 Hz");
     }
-    refused(&problem(Norm::Huber(2.0)), 5.0, "channel `fs` has a norm");
+    refused(
+        &problem(Norm::Huber(2.0), None),
+        5.0,
+        "channel `fs` has a norm",
+    );
+}
+
+/// An ensemble without simulations once passed for one without deviations.
+#[test]
+fn an_ensemble_that_diverges_is_no_estimate() {
+    let gear = ParameterRule {
+        components: vec![0],
+        prior_sigma: Some(1e14),
+        ..ParameterRule::new("actuator/m", "gear")
+    };
+    let problem = problem(Norm::Quadratic, Some(gear));
+    let error = identify(&problem, &NudgingSettings::default()).expect_err("refused");
+    assert!(error.to_string().contains("diverges"), "{error}");
 }

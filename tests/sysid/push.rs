@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use phantom::mujoco::{Data, Model};
-use phantom::recording::{Channel, Kind, Recording, Stream};
+use phantom::recording::Recording;
 use phantom::rng::{self, Purpose};
 use phantom::sysid::joint::{Fit, JointSettings, Start, solve};
 use phantom::sysid::method::Method;
@@ -12,7 +12,7 @@ use phantom::sysid::parameter::ParameterRule;
 use phantom::sysid::problem::{ChannelRule, CommandTiming, Problem, ProblemConfig};
 use phantom::sysid::sequential::SequentialSettings;
 
-use crate::simulate::simulate;
+use crate::simulate::{recorded, simulate};
 
 const PUSH: &str = r#"<mujoco><option timestep="0.002" cone="elliptic" impratio="3"/><worldbody>
 <geom name="floor" type="plane" size="2 2 .1"/>
@@ -27,15 +27,6 @@ const PUSH: &str = r#"<mujoco><option timestep="0.002" cone="elliptic" impratio=
 <framepos name="cp" objtype="body" objname="cyl"/></sensor></mujoco>"#;
 
 const TRUTH: [f64; 3] = [0.35, 0.6, 0.5];
-
-pub(crate) fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
-    Channel {
-        name: name.into(),
-        kind,
-        unit: unit.into(),
-        noise_sigma: None,
-    }
-}
 
 /// The reference motion of 2 s, as a recording.
 fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
@@ -54,31 +45,11 @@ fn pushed(noise_m: f64, seed: u64) -> (Arc<Model>, Recording) {
     });
     let last = &run.qpos[999];
     assert!(last[0] > 0.2, "pushed to {}", last[0]);
-    let names = ["xs", "ys", "cp[0]", "cp[1]", "cp[2]"];
-    let sensors = names
-        .iter()
-        .map(|n| channel(n, Kind::Sensor, "m"))
-        .collect();
-    let controls = ["mx", "my"]
-        .iter()
-        .map(|n| channel(n, Kind::Control, "N"))
-        .collect();
-    let mut sensors = Stream::new("sensors", Some(500.0), sensors);
-    let mut controls = Stream::new("controls", Some(500.0), controls);
-    let mut rng = rng::stream(seed, Purpose::Model, 0, 0);
-    for (k, (s, u)) in run.sensordata.iter().zip(&run.ctrl).enumerate() {
-        let stamp = 2_000_000 * k as i64;
-        let noisy: Vec<f64> = s
-            .iter()
-            .map(|s| s + noise_m * rng::normal(&mut rng))
-            .collect();
-        sensors.push(stamp, &noisy);
-        controls.push(stamp, u);
-    }
-    let recording = Recording {
-        streams: vec![sensors, controls],
-        ..Recording::default()
-    };
+    let names = (
+        ["xs", "ys", "cp[0]", "cp[1]", "cp[2]"].as_slice(),
+        ["mx", "my"].as_slice(),
+    );
+    let recording = recorded(&run, 500, names, noise_m, seed);
     (model, recording)
 }
 

@@ -3,8 +3,6 @@
 use std::sync::Arc;
 
 use phantom::mujoco::{Data, Model};
-use phantom::recording::{Kind, Recording, Stream};
-use phantom::rng::{self, Purpose};
 use phantom::sysid::fit::{Fit, Start};
 use phantom::sysid::interval::Posterior;
 use phantom::sysid::method::Method;
@@ -14,8 +12,7 @@ use phantom::sysid::problem::{ChannelRule, CommandTiming, Problem, ProblemConfig
 use phantom::sysid::sequential::SequentialSettings;
 use phantom::sysid::shooting::ShootingSettings;
 
-use crate::push::channel;
-use crate::simulate::simulate;
+use crate::simulate::{recorded, simulate};
 
 /// A slider that is pushed to and fro against a viscous friction, and leans on a stop part of the time.
 const SLIDER: &str = r#"<mujoco><option timestep="0.01"/><worldbody><body name="cart">
@@ -31,23 +28,13 @@ fn problem(velocity: f64, wrong_m: f64) -> Problem {
     let model = Arc::new(Model::from_xml_str(SLIDER).expect("loads"));
     let mut data = Data::new(model.clone()).expect("data");
     data.qvel_mut()[0] = velocity;
-    let run = simulate(&mut data, 100, |data, ctrl| {
+    let mut run = simulate(&mut data, 100, |data, ctrl| {
         ctrl[0] = 4.0 * (5.0 * data.time()).sin();
     });
-    let stream = |name, channel| Stream::new(name, Some(100.0), vec![channel]);
-    let mut sensors = stream("sensors", channel("xs", Kind::Sensor, "m"));
-    let mut controls = stream("controls", channel("m", Kind::Control, "N"));
-    let mut rng = rng::stream(4, Purpose::Model, 0, 0);
-    for (k, (s, u)) in run.sensordata.iter().zip(&run.ctrl).enumerate() {
-        let stamp = 10_000_000 * k as i64;
-        let wrong = if k < 50 { 0.0 } else { wrong_m };
-        sensors.push(stamp, &[s[0] + NOISE_M * rng::normal(&mut rng) + wrong]);
-        controls.push(stamp, u);
+    for reading in &mut run.sensordata[50..] {
+        reading[0] += wrong_m;
     }
-    let recording = Recording {
-        streams: vec![sensors, controls],
-        ..Recording::default()
-    };
+    let recording = recorded(&run, 100, (&["xs"], &["m"]), NOISE_M, 4);
     let rule = |element, attribute, start| ParameterRule {
         start: Some(start),
         lower: Some(0.05),

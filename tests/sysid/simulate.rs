@@ -3,6 +3,8 @@
 use std::sync::Arc;
 
 use phantom::mujoco::{Data, Model};
+use phantom::recording::{Channel, Kind, Recording, Stream};
+use phantom::rng::{self, Purpose};
 
 /// States and controls of consecutive steps; sensors as the step saw them.
 #[derive(Debug, Clone, Default)]
@@ -76,4 +78,43 @@ pub(crate) fn rms<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
         n += 1;
     }
     (sum / f64::from(n)).sqrt()
+}
+
+pub(crate) fn channel(name: &str, kind: Kind, unit: &str) -> Channel {
+    Channel {
+        name: name.into(),
+        kind,
+        unit: unit.into(),
+        noise_sigma: None,
+    }
+}
+
+/// A run of linear sensors (m) and motors (N), by their names, with noise on every reading.
+pub(crate) fn recorded(
+    run: &Run,
+    rate_hz: u32,
+    (sensors, motors): (&[&str], &[&str]),
+    noise_m: f64,
+    seed: u64,
+) -> Recording {
+    let stream = |name: &str, names: &[&str], kind: Kind, unit| {
+        let channels = names.iter().map(|n| channel(n, kind, unit)).collect();
+        Stream::new(name, Some(f64::from(rate_hz)), channels)
+    };
+    let mut sensors = stream("sensors", sensors, Kind::Sensor, "m");
+    let mut controls = stream("controls", motors, Kind::Control, "N");
+    let mut rng = rng::stream(seed, Purpose::Model, 0, 0);
+    for (k, (s, u)) in run.sensordata.iter().zip(&run.ctrl).enumerate() {
+        let stamp = 1_000_000_000 / i64::from(rate_hz) * k as i64;
+        let noisy: Vec<f64> = s
+            .iter()
+            .map(|s| s + noise_m * rng::normal(&mut rng))
+            .collect();
+        sensors.push(stamp, &noisy);
+        controls.push(stamp, u);
+    }
+    Recording {
+        streams: vec![sensors, controls],
+        ..Recording::default()
+    }
 }
