@@ -1,12 +1,15 @@
 //! All recordings simulated under their pulls, and what that costs.
 
-use nalgebra::DVector;
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::bins::{Bins, Series};
 use super::pull::Pull;
 use crate::mujoco::Data;
 use crate::sysid::SysidError;
+use crate::sysid::fit::Innovations;
 use crate::sysid::problem::Problem;
 use crate::sysid::shooting::simulate::{Pool, Simulated, Simulator};
 use crate::sysid::shooting::window::{Window, cut};
@@ -18,25 +21,25 @@ const BINS: f64 = 16.0;
 const INDEPENDENT: f64 = 2.0;
 
 /// What all simulations share.
-pub(super) struct Course<'a> {
-    pub(super) problem: &'a Problem,
+pub(crate) struct Course<'a> {
+    pub(crate) problem: &'a Problem,
     /// each trial as a whole
-    windows: Vec<Window>,
-    pulls: Vec<Pull>,
-    pub(super) bins: Bins,
-    timings: Timings,
-    pool: Pool,
+    pub(super) windows: Arc<Vec<Window>>,
+    pub(super) pulls: Arc<Vec<Pull>>,
+    pub(super) bins: Arc<Bins>,
+    pub(super) timings: Timings,
+    pub(super) pool: Pool,
 }
 
 /// Simulations of all trials at one point of the search.
-pub(super) struct Here {
+pub(crate) struct Here {
     pub(super) simulated: Vec<Simulated>,
     /// mean deviations
-    pub(super) bins: Vec<f64>,
+    pub(crate) bins: Vec<f64>,
 }
 
 impl<'a> Course<'a> {
-    pub(super) fn new(problem: &'a Problem, hz: f64, x: &[f64]) -> Result<Self, SysidError> {
+    pub(crate) fn new(problem: &'a Problem, hz: f64, x: &[f64]) -> Result<Self, SysidError> {
         let windows = cut(problem, f64::INFINITY);
         let pulls = (windows.iter())
             .map(|w| Pull::new(problem, w, x, hz))
@@ -44,15 +47,27 @@ impl<'a> Course<'a> {
         Ok(Self {
             timings: Timings::new(problem, &windows, x),
             problem,
-            windows,
-            pulls,
-            bins: Bins::new(problem, 1.0 / (BINS * hz)),
+            windows: Arc::new(windows),
+            pulls: Arc::new(pulls),
+            bins: Arc::new(Bins::new(problem, 1.0 / (BINS * hz))),
             pool: Pool::default(),
         })
     }
 
+    /// The same pulls for another model or other readings of the same recordings. The first parameters are the same.
+    pub(crate) fn beside<'b>(&self, problem: &'b Problem, x: &[f64]) -> Course<'b> {
+        Course {
+            timings: Timings::new(problem, &self.windows, x),
+            problem,
+            windows: Arc::clone(&self.windows),
+            pulls: Arc::clone(&self.pulls),
+            bins: Arc::clone(&self.bins),
+            pool: Pool::default(),
+        }
+    }
+
     /// The simulations at parameters `x`; `None` where one diverges.
-    pub(super) fn at(&self, x: &[f64]) -> Result<Option<Here>, SysidError> {
+    pub(crate) fn at(&self, x: &[f64]) -> Result<Option<Here>, SysidError> {
         let timing = self.timings.at(self.problem, &self.windows, x);
         let all: Vec<Result<Option<Simulated>, SysidError>> = (0..self.windows.len())
             .into_par_iter()
@@ -74,7 +89,7 @@ impl<'a> Course<'a> {
     }
 
     /// Leaves pulls less to do than in the simulations `here`, see [`Pull::correct`].
-    pub(super) fn correct(&mut self, x: &[f64], here: &Here) -> Result<(), SysidError> {
+    pub(crate) fn correct(&mut self, x: &[f64], here: &Here) -> Result<(), SysidError> {
         let Self {
             problem,
             windows,
@@ -83,7 +98,7 @@ impl<'a> Course<'a> {
             ..
         } = self;
         let timing = timings.at(problem, windows, x);
-        (pulls.par_iter_mut().enumerate()).try_for_each(|(i, pull)| {
+        (Arc::make_mut(pulls).par_iter_mut().enumerate()).try_for_each(|(i, pull)| {
             let on = (&windows[i], timing.placed[i].as_slice());
             pull.correct(problem, on, &here.simulated[i], x)
         })
@@ -114,21 +129,66 @@ impl<'a> Course<'a> {
 
     /// F.
     pub(super) fn cost(&self, x: &[f64], bins: &[f64]) -> f64 {
+        self.misfit(bins) + self.problem.parameters.prior_cost(x)
+    }
+
+    /// F without the priors.
+    pub(crate) fn misfit(&self, bins: &[f64]) -> f64 {
         let each = self.bins.series.iter().map(|series| {
             let n = series.bins.len() as f64 * INDEPENDENT / BINS;
             0.5 * n * Self::variance(series, bins).ln()
         });
-        each.sum::<f64>() + self.problem.parameters.prior_cost(x)
+        each.sum()
+    }
+
+    /// Number of bins.
+    pub(crate) fn n_bins(&self) -> usize {
+        self.bins.all.len()
+    }
+
+    /// Independent numbers that all bins are worth.
+    pub(crate) fn worth(&self) -> f64 {
+        self.bins.all.len() as f64 * INDEPENDENT / BINS
+    }
+
+    /// Standard deviation of the readings' noise in each bin.
+    pub(crate) fn noise_sigma(&self) -> DVector<f64> {
+        let mut sigma = DVector::zeros(self.bins.all.len());
+        for series in &self.bins.series {
+            sigma
+                .rows_range_mut(series.bins.clone())
+                .fill(series.noise.sqrt());
+        }
+        sigma
     }
 
     /// What whitens each bin.
-    pub(super) fn weights(&self, bins: &[f64]) -> DVector<f64> {
+    pub(crate) fn weights(&self, bins: &[f64]) -> DVector<f64> {
         let mut weights = DVector::zeros(self.bins.all.len());
         for series in &self.bins.series {
             let weight = (INDEPENDENT / BINS / Self::variance(series, bins)).sqrt();
             weights.rows_range_mut(series.bins.clone()).fill(weight);
         }
         weights
+    }
+
+    /// Whitened slopes (bins × parameters) and deviations in the order of time.
+    pub(crate) fn innovations(&self, mean: &DVector<f64>, slopes: &DMatrix<f64>) -> Innovations {
+        let weights = self.weights(mean.as_slice());
+        let mut order: Vec<usize> = (0..mean.len()).collect();
+        let place = |i: &usize| self.bins.all[*i].place;
+        order.sort_by_key(place);
+        let mut innovations = Innovations {
+            n_parameters: slopes.ncols(),
+            places: order.iter().map(place).collect(),
+            ..Innovations::default()
+        };
+        for i in order {
+            let row = slopes.row(i);
+            (innovations.rows).extend(row.iter().map(|s| s * weights[i]));
+            innovations.rows.push(-mean[i] * weights[i]);
+        }
+        innovations
     }
 
     /// What simulations at `points` make of all bins; those that diverge, or have numbers that the engine refuses, are left

@@ -15,12 +15,15 @@ use crate::sysid::parameter::Parameter;
 
 /// Relative size of a singular value of the design below which it is none.
 const RANK: f64 = 1e-9;
-/// Least number of simulations in half an ensemble, less one.
+/// Least number of simulations in half an ensemble, less one; of one with few parameters open.
 const LEAST: usize = 23;
+const FEW: usize = 3;
+/// How far parameters tremble that are not open, in their spreads.
+const TREMBLE: f64 = 0.05;
 
 /// The problem linearised.
 #[derive(Debug, Clone)]
-pub(super) struct Ensemble {
+pub(crate) struct Ensemble {
     /// mean deviations of all bins at the centre
     pub mean: DVector<f64>,
     /// (bins × parameters)
@@ -36,7 +39,77 @@ impl Ensemble {
     ///
     /// # Errors
     /// Too many simulations diverge to tell slopes.
-    pub(super) fn new(course: &Course<'_>, x: &[f64], spreads: &[f64]) -> Result<Self, SysidError> {
+    pub(crate) fn new(course: &Course<'_>, x: &[f64], spreads: &[f64]) -> Result<Self, SysidError> {
+        let all: Vec<usize> = (0..x.len()).collect();
+        Self::regress(course, x, spreads, &all, design(x.len(), LEAST), |_, _| ())
+    }
+
+    /// The same of the parameters `open` alone, by few simulations. The others tremble, so that chaos is another in each
+    /// simulation, and what `known` slopes (bins × parameters) make of that is taken off. All slopes are of the result.
+    ///
+    /// # Errors
+    /// Too many simulations diverge to tell slopes.
+    pub(crate) fn few(
+        course: &Course<'_>,
+        x: &[f64],
+        spreads: &[f64],
+        open: &[usize],
+        known: &DMatrix<f64>,
+    ) -> Result<Self, SysidError> {
+        let own = design(open.len(), FEW);
+        let mut signs = trembling(x.len(), own.len());
+        for (all, own) in signs.iter_mut().zip(own) {
+            open.iter().zip(own).for_each(|(&j, s)| all[j] = s);
+        }
+        Self::beside_known(course, (x, spreads), open, signs, known)
+    }
+
+    /// The mean of so many simulations, all parameters trembling.
+    ///
+    /// # Errors
+    /// Most simulations diverge.
+    pub(crate) fn still(
+        course: &Course<'_>,
+        x: &[f64],
+        spreads: &[f64],
+        known: &DMatrix<f64>,
+        n: usize,
+    ) -> Result<Self, SysidError> {
+        Self::beside_known(course, (x, spreads), &[], trembling(x.len(), n), known)
+    }
+
+    fn beside_known(
+        course: &Course<'_>,
+        (x, spreads): (&[f64], &[f64]),
+        open: &[usize],
+        signs: Vec<Vec<f64>>,
+        known: &DMatrix<f64>,
+    ) -> Result<Self, SysidError> {
+        let off = |moved: &[f64], bins: &mut DVector<f64>| {
+            let mut by = DVector::from_column_slice(moved);
+            for &j in open {
+                by[j] = 0.0;
+            }
+            bins.gemv(-1.0, known, &by, 1.0);
+        };
+        let found = Self::regress(course, x, spreads, open, signs, off)?;
+        let mut slopes = known.clone();
+        for (k, &j) in open.iter().enumerate() {
+            slopes.set_column(j, &found.slopes.column(k));
+        }
+        Ok(Self { slopes, ..found })
+    }
+
+    /// Regression on the parameters `open`, where all are moved by `signs` times spreads; `off` takes off deviations what
+    /// the others do.
+    fn regress(
+        course: &Course<'_>,
+        x: &[f64],
+        spreads: &[f64],
+        open: &[usize],
+        signs: Vec<Vec<f64>>,
+        off: impl Fn(&[f64], &mut DVector<f64>),
+    ) -> Result<Self, SysidError> {
         let bounds = course.problem.parameters.iter_free().map(Parameter::bounds);
         let bounds: Vec<(f64, f64)> = bounds.collect();
         let move_by = |signs: Vec<f64>| -> Vec<f64> {
@@ -44,38 +117,46 @@ impl Ensemble {
                 .map(|j| (x[j] + signs[j] * spreads[j]).clamp(bounds[j].0, bounds[j].1))
                 .collect()
         };
-        let points: Vec<Vec<f64>> = design(x.len()).into_iter().map(move_by).collect();
+        let points: Vec<Vec<f64>> = signs.into_iter().map(move_by).collect();
         let found = course.sample(&points);
-        if found.len() <= x.len() + 1 {
+        // of slopes, one more than there are unknowns
+        if found.len() < open.len() + 1 + usize::from(!open.is_empty()) {
             return Err(super::broken());
         }
-        let moves = DMatrix::from_fn(found.len(), x.len() + 1, |i, j| match j.checked_sub(1) {
-            Some(j) => (points[found[i].0][j] - x[j]) / spreads[j],
-            None => 1.0,
-        });
-        let bins = DMatrix::from_fn(found.len(), course.bins.all.len(), |i, b| found[i].1[b]);
+        let mut moves = DMatrix::from_element(found.len(), open.len() + 1, 1.0);
+        let mut bins = DMatrix::zeros(found.len(), course.bins.all.len());
+        for (i, (point, own)) in found.into_iter().enumerate() {
+            let moved: Vec<f64> = points[point].iter().zip(x).map(|(p, x)| p - x).collect();
+            for (k, &j) in open.iter().enumerate() {
+                moves[(i, k + 1)] = moved[j] / spreads[j];
+            }
+            let mut own = DVector::from_vec(own);
+            off(&moved, &mut own);
+            bins.set_row(i, &own.transpose());
+        }
         let back = (moves.clone().pseudo_inverse(RANK)).unwrap_or_else(|_| moves.transpose());
         let fitted = back * &bins;
         let mean = fitted.row(0).transpose();
         let weights = course.weights(mean.as_slice());
+        let n = moves.nrows();
         let left = bins - &moves * &fitted;
         let squares = left.column_iter().map(|bin| bin.norm_squared());
         let square: f64 = squares.zip(&weights).map(|(s, w)| s * w * w).sum();
-        let rough = square / (found.len() - moves.ncols()) as f64;
+        let rough = square / (n - moves.ncols()).max(1) as f64;
         let mut slopes = fitted.rows_range(1..).transpose();
-        for (mut column, spread) in slopes.column_iter_mut().zip(spreads) {
-            column /= *spread;
+        for (mut column, &j) in slopes.column_iter_mut().zip(open) {
+            column /= spreads[j];
         }
         Ok(Self {
             mean,
             slopes,
             rough,
-            n: found.len(),
+            n,
         })
     }
 
     /// Slopes, each bin times its weight.
-    pub(super) fn whitened(&self, weights: &DVector<f64>) -> DMatrix<f64> {
+    pub(crate) fn whitened(&self, weights: &DVector<f64>) -> DMatrix<f64> {
         let mut slopes = self.slopes.clone();
         for mut column in slopes.column_iter_mut() {
             column.component_mul_assign(weights);
@@ -84,10 +165,10 @@ impl Ensemble {
     }
 }
 
-/// Signs of `n` parameters in each simulation.
-fn design(n: usize) -> Vec<Vec<f64>> {
+/// Signs of `n` parameters in each of 2 (`least` + 1) simulations or more, the second half the first's opposites.
+fn design(n: usize, least: usize) -> Vec<Vec<f64>> {
     let is_prime = |q: usize| (2..q).all(|d| !q.is_multiple_of(d));
-    let mut q = n.max(LEAST);
+    let mut q = n.max(least);
     while q % 4 != 3 || !is_prime(q) {
         q += 1;
     }
@@ -112,6 +193,15 @@ fn design(n: usize) -> Vec<Vec<f64>> {
     rows
 }
 
+/// Where `n` parameters are in so many simulations that differ by chaos, in spreads; the second half are opposites.
+pub(crate) fn trembling(n: usize, simulations: usize) -> Vec<Vec<f64>> {
+    let all = design(n, LEAST.max(simulations));
+    let (half, back) = (simulations.div_ceil(2), all.len() / 2);
+    let rows = (0..half).chain(back..back + simulations - half);
+    rows.map(|i| all[i].iter().map(|s| TREMBLE * s).collect())
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::design;
@@ -119,7 +209,7 @@ mod tests {
     #[test]
     fn every_parameter_is_moved_apart_from_every_other_and_from_products() {
         for n in [1, 3, 4, 11, 12, 43, 80] {
-            let rows = design(n);
+            let rows = design(n, super::LEAST);
             assert!((2 * (n + 1)..=2 * (n + 24)).contains(&rows.len()));
             let sum = |f: &dyn Fn(&[f64]) -> f64| rows.iter().map(|r| f(r)).sum::<f64>();
             for a in 0..n {

@@ -38,12 +38,16 @@ mod bins;
 mod course;
 mod ensemble;
 mod pull;
+mod pulled;
 mod search;
 
 use super::fit::{Fit, Iteration, Start, Status};
 use super::norm::Norm;
 use super::problem::Problem;
 use super::{SysidError, path};
+pub(crate) use course::Course;
+pub(crate) use ensemble::{Ensemble, trembling};
+pub(crate) use pulled::Pulled;
 use search::Search;
 
 /// Settings of the method.
@@ -100,10 +104,35 @@ pub fn solve(
 ) -> Result<Fit, SysidError> {
     settings.check(problem)?;
     let problem = path::remember(problem, &start.x)?;
-    let mut search = Search::new(&problem, settings.hz, &start.x)?;
+    let (search, status, history) = descend(&problem, settings, &start.x, watch)?;
+    search.conclude(status, history)
+}
+
+/// The parameters that [`solve`] ends with, and spreads of ensembles about them.
+///
+/// # Errors
+/// As [`solve`].
+pub(crate) fn settle(
+    problem: &Problem,
+    settings: &NudgingSettings,
+    x: &[f64],
+    watch: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<(Vec<f64>, Vec<f64>), SysidError> {
+    settings.check(problem)?;
+    let (search, ..) = descend(problem, settings, x, watch)?;
+    Ok(search.ended())
+}
+
+fn descend<'a>(
+    problem: &'a Problem,
+    settings: &NudgingSettings,
+    x: &[f64],
+    watch: &mut dyn FnMut(&Iteration) -> bool,
+) -> Result<(Search<'a>, Status, Vec<Iteration>), SysidError> {
+    let mut search = Search::new(problem, settings.hz, x)?;
     let mut history = Vec::new();
     let mut status = Status::MaxIterations;
-    if start.x.is_empty() {
+    if x.is_empty() {
         status = Status::Converged;
     }
     while status == Status::MaxIterations && history.len() < settings.max_iterations {
@@ -119,7 +148,7 @@ pub fn solve(
         }
         history.push(iteration);
     }
-    search.conclude(status, history)
+    Ok((search, status, history))
 }
 
 fn broken() -> SysidError {

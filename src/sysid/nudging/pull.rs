@@ -25,6 +25,7 @@ const SHOWN: f64 = 1e-6;
 const RIGID: f64 = 1e6;
 
 /// How a simulation of one recording is pulled.
+#[derive(Clone)]
 pub(super) struct Pull {
     /// (knots × nq) the recorded motion, smoothed
     qpos: Vec<f64>,

@@ -150,18 +150,29 @@ impl<'a> Search<'a> {
         best
     }
 
-    /// The fit: the mean over the last ensembles.
+    /// The mean over the last ensembles.
+    fn mean(&self) -> Vec<f64> {
+        let n = self.last.len() as f64;
+        if n < 2.0 {
+            return self.x.clone();
+        }
+        let sum = |j: usize| self.last.iter().map(|(x, _)| x[j]).sum::<f64>();
+        (0..self.x.len()).map(|j| sum(j) / n).collect()
+    }
+
+    /// That, and spreads of ensembles about it.
+    pub(super) fn ended(self) -> (Vec<f64>, Vec<f64>) {
+        (self.mean(), self.spreads)
+    }
+
+    /// The fit.
     pub(super) fn conclude(
         mut self,
         status: Status,
         history: Vec<Iteration>,
     ) -> Result<Fit, SysidError> {
-        let n = self.last.len() as f64;
-        if n > 1.0 {
-            self.x.fill(0.0);
-            for (x, _) in &self.last {
-                self.x.iter_mut().zip(x).for_each(|(m, x)| *m += x / n);
-            }
+        if self.last.len() > 1 {
+            self.x = self.mean();
             self.here = self.course.at(&self.x)?.ok_or_else(broken)?;
         }
         let cost = self.course.cost(&self.x, &self.here.bins);
@@ -182,7 +193,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Whitened slopes and deviations, means over the last ensembles, in the order of time.
+    /// Of the means over the last ensembles.
     fn innovations(&self) -> Innovations {
         let n = self.last.len() as f64;
         let n_bins = self.here.bins.len();
@@ -192,21 +203,7 @@ impl<'a> Search<'a> {
             mean += &ensemble.mean / n;
             slopes += &ensemble.slopes / n;
         }
-        let weights = self.course.weights(mean.as_slice());
-        let mut order: Vec<usize> = (0..n_bins).collect();
-        let place = |i: &usize| self.course.bins.all[*i].place;
-        order.sort_by_key(place);
-        let mut innovations = Innovations {
-            n_parameters: self.x.len(),
-            places: order.iter().map(place).collect(),
-            ..Innovations::default()
-        };
-        for i in order {
-            let row = slopes.row(i);
-            (innovations.rows).extend(row.iter().map(|s| s * weights[i]));
-            innovations.rows.push(-mean[i] * weights[i]);
-        }
-        innovations
+        self.course.innovations(&mean, &slopes)
     }
 }
 
