@@ -48,6 +48,15 @@ pub(super) struct Rival {
 }
 
 impl Rival {
+    pub(super) fn of(chosen: &Chosen, separation: f64) -> Self {
+        Self {
+            name: chosen.effect.about().name.to_owned(),
+            place: chosen.place.clone(),
+            values: chosen.values.clone(),
+            separation,
+        }
+    }
+
     /// As a result has it.
     pub(super) fn said(&self) -> Where {
         Where {

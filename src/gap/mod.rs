@@ -31,6 +31,7 @@ mod locate;
 mod lying;
 mod model;
 mod name;
+mod nudged;
 mod predict;
 mod pulse;
 mod repair;

@@ -235,6 +235,13 @@ impl Measured {
 }
 
 impl Chosen {
+    /// Whether any of its sizes is one that could be seen at all, by its range.
+    pub(super) fn counts(&self, scales: &Scales) -> bool {
+        let parameters = self.effect.about().parameters.iter();
+        let mut sizes = parameters.zip(&self.values).filter(|(p, _)| p.is_size());
+        sizes.any(|(p, value)| p.is_whole() || value.abs() >= p.low * p.scale(scales))
+    }
+
     /// Whether a size or a positive shape of it went as far as it could: then it stands for something else.
     pub(super) fn absurd(&self, scales: &Scales) -> bool {
         let parameters = self.effect.about().parameters.iter();

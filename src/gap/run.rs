@@ -14,7 +14,8 @@ use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
 use super::verify;
 use super::windows::{self, Windows};
 use super::{
-    GapError, Report, Stage, Watch, left, lengths, name, repair, round_trip, toss, untestable,
+    GapError, Report, Stage, Watch, left, lengths, name, nudged, repair, round_trip, toss,
+    untestable,
 };
 use crate::compare::Settings;
 use crate::recording::Recording;
@@ -53,6 +54,8 @@ pub struct Options {
     pub most_windows: usize,
     /// s of a window; none: from the data
     pub window_s: Option<f64>,
+    /// Hz at which simulations are pulled along the recordings, for machines in contact; none: windows
+    pub pull_hz: Option<f64>,
     /// names of the effects to look for; none: all
     pub effects: Vec<String>,
 }
@@ -65,6 +68,7 @@ impl Default for Options {
             limits: Limits::default(),
             most_windows: 240,
             window_s: None,
+            pull_hz: None,
             effects: Vec::new(),
         }
     }
@@ -103,7 +107,7 @@ pub struct MissingSeries {
 }
 
 impl MissingSeries {
-    fn new(missing: &Missing) -> Self {
+    pub(super) fn new(missing: &Missing) -> Self {
         let column = |m: &nalgebra::DMatrix<f64>, j: usize| m.column(j).iter().copied().collect();
         let n = missing.joints.len();
         Self {
@@ -137,6 +141,8 @@ pub fn resume(
     let mut watch = Watch::new(report);
     if input.protocol.drop.is_some() {
         toss::resume(input, options, keeper, &mut watch)
+    } else if let Some(hz) = options.pull_hz {
+        nudged::resume(input, options, hz, keeper, &mut watch)
     } else {
         lengths::search(input, options, keeper, &mut watch)
     }

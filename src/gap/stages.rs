@@ -7,6 +7,7 @@
 //! | `effect-1`, … | the model after each step of the search |
 //! | `0.1s-fit`, … | the same in windows of another length |
 //! | `toss`, `toss-1`, … | the same of tosses: the first look, then each step |
+//! | `nudged`, `nudged-1`, … | the same of pulled simulations: the base model's fit, then each step |
 //!
 //! What is not kept follows from what is: the same report comes out, to the last bit. Whoever keeps them sees to it that
 //! they belong to the same input ([`key`]).

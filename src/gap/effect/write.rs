@@ -71,6 +71,18 @@ impl ModelFile {
         Self::of_text(xml, path)
     }
 
+    /// In other time steps, s.
+    ///
+    /// # Errors
+    /// The engine refuses them.
+    pub fn paced(&self, timestep_s: f64) -> Result<Self, EffectError> {
+        let steps = Change::Option {
+            attribute: "timestep",
+            value: timestep_s.to_string(),
+        };
+        Self::of_text(structure::change(&self.xml, &[steps])?, &self.path)
+    }
+
     /// A text that is not, or not yet, the file's content.
     ///
     /// # Errors

@@ -1,0 +1,228 @@
+//! Effects one at a time: the best that stands, and what is no longer needed.
+
+use super::judge::{Judge, Point};
+use super::refit::Fitted;
+use super::screen::{Candidate, LEAST_VISIBLE, again, chance};
+use crate::gap::alike::Rival;
+use crate::gap::evidence::Evidence;
+use crate::gap::model::Chosen;
+use crate::gap::name::APART;
+use crate::gap::result::{Returned, RoundTrip};
+use crate::gap::run::Options;
+use crate::gap::{GapError, Watch};
+
+/// Candidates that are fitted.
+const RIVALS: usize = 8;
+/// Part by which mean squares of deviations have to fall, over all channels, and those of held-out recordings.
+const LEAST: f64 = 0.01;
+const LEAST_HELD: f64 = 0.005;
+/// Chance that a kept effect does nothing, above which it goes.
+const LEAVES: f64 = 0.01;
+
+/// Fall of mean squares of `worth` numbers where the cost falls by `fall`.
+pub(super) fn part(fall: f64, worth: f64) -> f64 {
+    1.0 - f64::exp(-2.0 * fall / worth)
+}
+
+/// Number of candidates that could be found.
+pub(super) fn tests(all: &[Candidate]) -> usize {
+    all.iter().filter(|c| c.visible >= LEAST_VISIBLE).count()
+}
+
+fn numbers(effect: &dyn crate::gap::effect::Effect) -> usize {
+    effect
+        .about()
+        .parameters
+        .iter()
+        .filter(|p| p.is_size())
+        .count()
+}
+
+/// Whether an effect with this fall of the cost, and this chance, is one.
+fn stands(judge: &Judge<'_>, options: &Options, chosen: &Chosen, fall: f64, p_value: f64) -> bool {
+    let scales = judge.measured.scales(&judge.base.model, &chosen.place);
+    p_value <= options.limits.family_p
+        && part(fall, judge.worth()) >= LEAST
+        && chosen.counts(&scales)
+        && !chosen.absurd(&scales)
+}
+
+/// The same of a candidate that is expected to be.
+fn promises(judge: &Judge<'_>, options: &Options, c: &Candidate, n_tests: f64) -> bool {
+    c.sensible
+        && c.visible >= LEAST_VISIBLE
+        && stands(judge, options, &c.chosen(), c.gain, c.p_value * n_tests)
+}
+
+/// The best candidate that stands, all numbers fitted; nothing if none does.
+///
+/// # Errors
+/// The engine fails.
+pub(super) fn forward(
+    judge: &Judge<'_>,
+    options: &Options,
+    present: &Fitted,
+    all: &[Candidate],
+    watch: &mut Watch<'_>,
+) -> Result<Option<(Fitted, Evidence)>, GapError> {
+    let mut names: Vec<&str> = present
+        .point
+        .written
+        .iter()
+        .map(|c| c.effect.about().name)
+        .collect();
+    names.sort_unstable();
+    names.dedup();
+    let n_tests = tests(all) as f64;
+    let may = |c: &&Candidate| {
+        let name = c.effect.about().name;
+        (names.len() < options.max_effects || names.contains(&name))
+            && promises(judge, options, c, n_tests)
+    };
+    let rivals: Vec<&Candidate> = all.iter().filter(may).take(RIVALS).collect();
+    let points = rivals.iter().map(|c| with(judge, present, c.chosen()));
+    let points: Vec<Point> = points.collect::<Option<_>>().unwrap_or_default();
+    let fitted = judge.refit_all(points, &present.ensemble.slopes)?;
+    watch.go_on()?;
+    let mut fitted: Vec<Fitted> = fitted.into_iter().flatten().collect();
+    fitted.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let held = judge.held(&present.machine, &present.point)?;
+    for i in 0..fitted.len() {
+        let own = &fitted[i];
+        let chosen = own.chosen();
+        let Some(last) = chosen.last() else { continue };
+        let fall = present.cost - own.cost;
+        let shapes = last.effect.about().shapes() as f64;
+        let p_value = (chance(fall, numbers(last.effect)) * n_tests * shapes).min(1.0);
+        if !stands(judge, options, last, fall, p_value) {
+            continue;
+        }
+        if let Some(before) = held {
+            let after = judge
+                .held(&own.machine, &own.point)?
+                .unwrap_or(f64::INFINITY);
+            if part(before - after, judge.worth_held()) < LEAST_HELD {
+                continue;
+            }
+        }
+        let alike = (fitted.iter().enumerate())
+            .filter(|(j, other)| *j != i && 2.0 * (other.cost - own.cost) < APART)
+            .filter_map(|(_, other)| {
+                let chosen = other.chosen().last()?.clone();
+                let separation = (2.0 * (other.cost - own.cost)).max(0.0);
+                Some(Rival::of(&chosen, separation))
+            });
+        let evidence = Evidence {
+            p_value,
+            gain: part(fall, judge.worth()),
+            size: None,
+            alike: alike.collect(),
+        };
+        let found = fitted.swap_remove(i);
+        return Ok(Some((found, evidence)));
+    }
+    Ok(None)
+}
+
+/// The present point with one more effect.
+fn with(judge: &Judge<'_>, present: &Fitted, chosen: Chosen) -> Option<Point> {
+    let mut written = present.point.written.clone();
+    written.push(chosen);
+    let machine = judge.build(&written)?;
+    let mut x = machine.problem.parameters.start();
+    x[..present.point.x.len()].copy_from_slice(&present.point.x);
+    Some(Point { written, x })
+}
+
+/// The present model without effect `i`, fitted.
+///
+/// # Errors
+/// The engine fails.
+pub(super) fn without(
+    judge: &Judge<'_>,
+    present: &Fitted,
+    i: usize,
+) -> Result<Option<Fitted>, GapError> {
+    let free = present.machine.built.free(&present.machine.problem);
+    let gone: Vec<usize> = free.iter().filter(|f| f.1 == i).map(|f| f.0).collect();
+    let mut written = present.point.written.clone();
+    written.remove(i);
+    let stays = |j: &usize| !gone.contains(j);
+    let order: Vec<usize> = (0..present.point.x.len()).filter(stays).collect();
+    let x = order.iter().map(|&j| present.point.x[j]).collect();
+    let known = present.ensemble.slopes.select_columns(&order);
+    judge.refit(Point { written, x }, &known)
+}
+
+/// Index of an effect that is no longer needed, if there is one.
+///
+/// # Errors
+/// The engine fails.
+pub(super) fn needless(judge: &Judge<'_>, present: &Fitted) -> Result<Option<usize>, GapError> {
+    let n = present.point.written.len();
+    if n < 2 {
+        return Ok(None);
+    }
+    let mut worst: Option<(f64, usize)> = None;
+    for i in 0..n {
+        let Some(fitted) = without(judge, present, i)? else {
+            continue;
+        };
+        let p = chance(
+            fitted.cost - present.cost,
+            numbers(present.point.written[i].effect),
+        );
+        if p > LEAVES && worst.is_none_or(|w| p > w.0) {
+            worst = Some((p, i));
+        }
+    }
+    Ok(worst.map(|w| w.1))
+}
+
+/// What the model of `fitted` would have recorded, screened again by the columns of `screened`: what is found twice, in two
+/// such recordings, stands.
+///
+/// # Errors
+/// The engine fails.
+pub(super) fn round_trip(
+    judge: &Judge<'_>,
+    options: &Options,
+    fitted: &Fitted,
+    screened: &[Candidate],
+) -> Result<Option<RoundTrip>, GapError> {
+    let Some(draws) = judge.recorded(fitted, 2, options.seed)? else {
+        return Ok(None);
+    };
+    let screened: Vec<&Candidate> = screened.iter().collect();
+    let mut each = draws.iter().map(|mean| -> Vec<String> {
+        let all = again(judge, fitted, mean, &screened);
+        let n_tests = tests(&all) as f64;
+        let found = all.iter().filter(|c| promises(judge, options, c, n_tests));
+        found
+            .map(|c| format!("{} at {}", c.effect.about().name, c.place))
+            .collect()
+    });
+    let mut found = each.next().unwrap_or_default();
+    for other in each {
+        found.retain(|own| other.contains(own));
+    }
+    let Some(dx) = judge.back(fitted, &draws[0]) else {
+        return Ok(None);
+    };
+    let covariance = fitted.covariance(judge);
+    let chosen = fitted.chosen();
+    let mut returned = Vec::new();
+    for (j, i, p, slope) in fitted.machine.built.free(&fitted.machine.problem) {
+        let (own, about) = (&chosen[i], chosen[i].effect.about());
+        let value = own.values[p] + dx[j] * slope;
+        let half = super::name::HALF * covariance[(j, j)].sqrt() * slope.abs();
+        returned.push(Returned {
+            name: format!("{} {}", about.name, about.parameters[p].name),
+            at: own.place.to_string(),
+            put_in: own.values[p],
+            value,
+            ci95: [value - half, value + half],
+        });
+    }
+    Ok(Some(RoundTrip { found, returned }))
+}

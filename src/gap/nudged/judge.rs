@@ -1,0 +1,277 @@
+//! Models with effects, simulated under the pulls of the base model.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::refit::Fitted;
+use crate::gap::GapError;
+use crate::gap::effect::ModelFile;
+use crate::gap::inputs::{judged, same_channels};
+use crate::gap::model::{Built, Chosen, Measured};
+use crate::gap::run::Input;
+use crate::recording::Recording;
+use crate::rng::{self, Purpose};
+use crate::sysid::nudging::{Course, Ensemble, trembling};
+use crate::sysid::parameter::ParameterRule;
+use crate::sysid::path::Path;
+use crate::sysid::problem::Problem;
+use crate::sysid::start;
+
+/// Times that pulls are led along what simulations have made of the motion.
+const CORRECTIONS: usize = 3;
+/// Simulations of a mean.
+const STILL: usize = 16;
+/// Part of its value by which an effect's number is moved to see what it does, and the least of the usual size.
+const MOVED: f64 = 0.3;
+const LEAST_MOVED: f64 = 0.1;
+
+/// Training and held-out recordings with the base model's parameters.
+pub(super) struct Problems {
+    pub train: Problem,
+    pub held: Option<Problem>,
+}
+
+impl Problems {
+    /// # Errors
+    /// Input that does not fit together.
+    pub(super) fn new(input: &Input<'_>) -> Result<Self, GapError> {
+        let config = judged(input)?;
+        let of = |all: &[(String, Recording)]| -> Result<Problem, GapError> {
+            let mut problem = Problem::new(Arc::clone(&input.model.model), &config, all)?;
+            let x = problem.parameters.start();
+            for i in 0..problem.trials.len() {
+                let qpos = start::trajectory(&problem, &problem.trials[i], &x)?;
+                let model = &problem.model;
+                problem.trials[i].path = Some(Path::new(qpos, model.nq(), model.timestep()));
+            }
+            Ok(problem)
+        };
+        let train = of(input.train)?;
+        same_channels(&train, &config, input)?;
+        let held = (!input.holdout.is_empty()).then(|| of(input.holdout));
+        Ok(Self {
+            train,
+            held: held.transpose()?,
+        })
+    }
+}
+
+/// Effects as they were written into the model, and all its free numbers.
+#[derive(Debug, Clone)]
+pub(super) struct Point {
+    pub written: Vec<Chosen>,
+    pub x: Vec<f64>,
+}
+
+/// A model and what is estimated of it.
+pub(super) struct Machine {
+    pub built: Built,
+    pub problem: Problem,
+}
+
+/// Judges models by simulations of the training recordings.
+pub(super) struct Judge<'a> {
+    pub base: &'a ModelFile,
+    pub rules: &'a [ParameterRule],
+    pub measured: Measured,
+    /// spreads of the base model's parameters
+    pub spreads: Vec<f64>,
+    hz: f64,
+    pub course: Course<'a>,
+    held: Option<Course<'a>>,
+}
+
+impl<'a> Judge<'a> {
+    /// With pulls along the recordings as the base model's numbers `x` have them.
+    ///
+    /// # Errors
+    /// A model that cannot be simulated.
+    pub(super) fn new(
+        input: &Input<'a>,
+        problems: &'a Problems,
+        hz: f64,
+        (x, spreads): (&[f64], &[f64]),
+    ) -> Result<Self, GapError> {
+        let motions: Vec<Vec<f64>> = (problems.train.trials.iter())
+            .filter_map(|t| Some(t.path.as_ref()?.rows().to_vec()))
+            .collect();
+        let course = |problem: &'a Problem| Course::new(problem, hz, x);
+        Ok(Self {
+            base: input.model,
+            rules: &input.config.parameter,
+            measured: Measured::new(&problems.train, x, &motions)?,
+            spreads: spreads.to_vec(),
+            hz,
+            course: course(&problems.train)?,
+            held: problems.held.as_ref().map(course).transpose()?,
+        })
+    }
+
+    /// Leads pulls along what simulations of a model make of the recorded motion: smoothing has taken the edges off that. They
+    /// then supply what the model lacks, which one that lacks less would have twice: each model that is kept wants its own.
+    ///
+    /// # Errors
+    /// A simulation diverges.
+    pub(super) fn lead(&mut self, machine: &Machine, x: &[f64]) -> Result<(), GapError> {
+        let base = &x[..self.spreads.len()];
+        let led = |of: &Course<'a>| -> Result<Course<'a>, GapError> {
+            let problem = machine.built.problem(of.problem)?;
+            let mut own = Course::new(&problem, self.hz, x)?;
+            for _ in 0..CORRECTIONS {
+                let here = own.at(x)?.ok_or_else(super::broken)?;
+                own.correct(x, &here)?;
+            }
+            Ok(own.beside(of.problem, base))
+        };
+        let (course, held) = (led(&self.course)?, self.held.as_ref().map(led).transpose()?);
+        (self.course, self.held) = (course, held);
+        Ok(())
+    }
+
+    /// The base model with effects; nothing where it cannot be said.
+    pub(super) fn build(&self, written: &[Chosen]) -> Option<Machine> {
+        let built = Built::new(self.base, self.rules, written, &self.measured).ok()?;
+        let problem = built.problem(self.course.problem).ok()?;
+        Some(Machine { built, problem })
+    }
+
+    /// Spreads of all numbers of a model: those of effects from their values.
+    pub(super) fn spreads(&self, machine: &Machine, point: &Point) -> Vec<f64> {
+        let values = (machine.built).values(&machine.problem, &point.x, &point.written);
+        let mut spreads = self.spreads.clone();
+        spreads.resize(point.x.len(), 0.0);
+        for (j, i, p, slope) in machine.built.free(&machine.problem) {
+            let chosen = &values[i];
+            let scales = self.measured.scales(&self.base.model, &chosen.place);
+            let parameter = &chosen.effect.about().parameters[p];
+            let usual = match parameter.typical(&scales).abs() {
+                0.0 => parameter.high * parameter.scale(&scales),
+                typical => typical,
+            };
+            let size = (MOVED * chosen.values[p].abs()).max(LEAST_MOVED * usual);
+            spreads[j] = size / slope.abs();
+        }
+        spreads
+    }
+
+    /// All slopes at a point, and the mean in its midst.
+    ///
+    /// # Errors
+    /// Simulations diverge.
+    pub(super) fn linearise(&self, machine: &Machine, point: &Point) -> Result<Ensemble, GapError> {
+        let course = self.course.beside(&machine.problem, &point.x);
+        let spreads = self.spreads(machine, point);
+        let wide = Ensemble::new(&course, &point.x, &spreads)?;
+        Ok(Ensemble::still(
+            &course,
+            &point.x,
+            &spreads,
+            &wide.slopes,
+            STILL,
+        )?)
+    }
+
+    /// Slopes of the effects' numbers at a point, the others by `known`.
+    ///
+    /// # Errors
+    /// Simulations diverge.
+    pub(super) fn look(
+        &self,
+        machine: &Machine,
+        point: &Point,
+        known: &DMatrix<f64>,
+    ) -> Result<Ensemble, GapError> {
+        let course = self.course.beside(&machine.problem, &point.x);
+        let spreads = self.spreads(machine, point);
+        let open: Vec<usize> = (self.spreads.len()..point.x.len()).collect();
+        Ok(Ensemble::few(&course, &point.x, &spreads, &open, known)?)
+    }
+
+    /// Mean deviations of the held-out recordings at a point, and what they cost; nothing without any, or where simulations
+    /// diverge.
+    ///
+    /// # Errors
+    /// The model cannot carry the parameters.
+    pub(super) fn held(&self, machine: &Machine, point: &Point) -> Result<Option<f64>, GapError> {
+        let Some(held) = &self.held else {
+            return Ok(None);
+        };
+        let problem = machine.built.problem(held.problem)?;
+        let course = held.beside(&problem, &point.x);
+        let spreads = self.spreads(machine, point);
+        // slopes there are not known, and trembling is little
+        let known = DMatrix::zeros(course.n_bins(), point.x.len());
+        let found = Ensemble::still(&course, &point.x, &spreads, &known, STILL);
+        Ok(Some(found.map_or(f64::INFINITY, |e| {
+            course.misfit(e.mean.as_slice())
+        })))
+    }
+
+    /// Mean deviations of the model at `fitted` from what it would have recorded itself, with the noise of the sensors, in so
+    /// many draws; nothing where one diverges.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn recorded(
+        &self,
+        fitted: &Fitted,
+        draws: usize,
+        seed: u64,
+    ) -> Result<Option<Vec<DVector<f64>>>, GapError> {
+        let (machine, point) = (&fitted.machine, &fitted.point);
+        let course = self.course.beside(&machine.problem, &point.x);
+        let spreads = self.spreads(machine, point);
+        let mut out = Vec::new();
+        for (draw, signs) in trembling(point.x.len(), STILL + draws)
+            .iter()
+            .skip(STILL)
+            .enumerate()
+        {
+            let moved = DVector::from_fn(point.x.len(), |j, _| signs[j] * spreads[j]);
+            let x: Vec<f64> = point.x.iter().zip(&moved).map(|(x, m)| x + m).collect();
+            let Some(own) = course.at(&x)? else {
+                return Ok(None);
+            };
+            // its chaos, without what its parameters are moved by
+            let own = DVector::from_vec(own.bins) - &fitted.ensemble.slopes * moved;
+            let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, draw as u64);
+            let noise = (course.noise_sigma()).map(|sigma| sigma * rng::normal(&mut rng));
+            out.push(&fitted.ensemble.mean - own + noise);
+        }
+        Ok(Some(out))
+    }
+
+    /// The change of all numbers that `mean` deviations ask for at `fitted`.
+    pub(super) fn back(&self, fitted: &Fitted, mean: &DVector<f64>) -> Option<DVector<f64>> {
+        let (normal, _) = fitted.normal(self);
+        let weights = self.course.weights(fitted.ensemble.mean.as_slice());
+        let slopes = fitted.ensemble.whitened(&weights);
+        let right = slopes.tr_mul(&mean.component_mul(&weights));
+        Some(-normal.cholesky()?.solve(&right))
+    }
+
+    /// Independent numbers that the recordings' deviations are worth.
+    pub(super) fn worth(&self) -> f64 {
+        self.course.worth()
+    }
+
+    /// The same of the held-out ones.
+    pub(super) fn worth_held(&self) -> f64 {
+        self.held.as_ref().map_or(0.0, Course::worth)
+    }
+
+    /// The course of the held-out recordings, else of the training ones.
+    pub(super) fn verifying(&self) -> &Course<'a> {
+        self.held.as_ref().unwrap_or(&self.course)
+    }
+}
+
+/// Deviations and slopes, each bin times its weight.
+pub(super) fn whitened(ensemble: &Ensemble, course: &Course<'_>) -> (DVector<f64>, DMatrix<f64>) {
+    let weights = course.weights(ensemble.mean.as_slice());
+    (
+        ensemble.mean.component_mul(&weights),
+        ensemble.whitened(&weights),
+    )
+}

@@ -1,0 +1,96 @@
+//! What to call what was found, and how surely its numbers are known.
+//!
+//! A number's variance is that of the linearised problem, with all other numbers free, and on top of it that of fits that
+//! are made again: simulations in contact are chaotic in small, and so are estimates by them.
+
+use super::judge::{Judge, Point};
+use super::refit::Fitted;
+use crate::gap::GapError;
+use crate::gap::alike::Rival;
+use crate::gap::effect::{Role, Sign};
+use crate::gap::evidence::Evidence;
+use crate::gap::name::called;
+use crate::gap::result::{Named, Value};
+
+/// Standard deviations of half a 95 % interval.
+pub(super) const HALF: f64 = 1.96;
+/// Fits that are made again.
+const AGAIN: usize = 4;
+
+/// Effects with names, and the model with their last numbers.
+pub(super) struct Names {
+    pub effects: Vec<Named>,
+    pub fitted: Fitted,
+}
+
+/// Names of all effects of a model that has all its slopes.
+///
+/// # Errors
+/// The engine fails.
+pub(super) fn name(
+    judge: &Judge<'_>,
+    present: &Fitted,
+    kept: &[Evidence],
+) -> Result<Names, GapError> {
+    let n = present.point.x.len();
+    let mut all: Vec<Vec<f64>> = Vec::new();
+    let mut x = present.point.x.clone();
+    for _ in 0..AGAIN {
+        let machine = judge
+            .build(&present.point.written)
+            .ok_or_else(super::broken)?;
+        let point = Point {
+            written: present.point.written.clone(),
+            x,
+        };
+        let seen = judge.look(&machine, &point, &present.ensemble.slopes)?;
+        let seen = judge.fitted(machine, point, seen);
+        x = judge.step(&seen);
+        all.push(x.clone());
+    }
+    let mean = |j: usize| all.iter().map(|x| x[j]).sum::<f64>() / AGAIN as f64;
+    let x: Vec<f64> = (0..n).map(mean).collect();
+    let scatter =
+        |j: usize| all.iter().map(|own| (own[j] - x[j]).powi(2)).sum::<f64>() / (AGAIN - 1) as f64;
+    let scatter: Vec<f64> = (0..n).map(scatter).collect();
+    let machine = judge
+        .build(&present.point.written)
+        .ok_or_else(super::broken)?;
+    let point = Point {
+        written: present.point.written.clone(),
+        x,
+    };
+    let seen = judge.look(&machine, &point, &present.ensemble.slopes)?;
+    let fitted = judge.fitted(machine, point, seen);
+    let covariance = fitted.covariance(judge);
+    let free = fitted.machine.built.free(&fitted.machine.problem);
+    let mut effects = Vec::new();
+    for (i, own) in fitted.chosen().iter().enumerate() {
+        let scales = judge.measured.scales(&judge.base.model, &own.place);
+        let parameters = own.effect.about().parameters.iter().enumerate();
+        let values = parameters
+            .filter(|(_, p)| p.role != Role::Companion)
+            .map(|(p, parameter)| {
+                let number = free.iter().find(|f| f.1 == i && f.2 == p);
+                let ci95 = number.map(|(j, _, _, slope)| {
+                    let sigma = (covariance[(*j, *j)] + scatter[*j]).sqrt() * slope.abs();
+                    let low = own.values[p] - HALF * sigma;
+                    let low = match parameter.sign {
+                        Sign::Positive => low.max(0.0),
+                        Sign::Either => low,
+                    };
+                    [low, own.values[p] + HALF * sigma]
+                });
+                Value {
+                    name: parameter.name.to_owned(),
+                    value: own.values[p],
+                    ci95,
+                    unit: parameter.unit(&scales).to_owned(),
+                }
+            });
+        let others = kept[i].alike.iter().map(Rival::said).collect();
+        let said = (own, fitted.machine.built.forms[i]);
+        effects.push(called(said, values.collect(), &kept[i], others));
+    }
+    Ok(Names { effects, fitted })
+}

@@ -1,0 +1,148 @@
+//! A model with effects, its numbers fitted: Gauss-Newton, with slopes of the base model's parameters held.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::judge::{Judge, Machine, Point, whitened};
+use crate::gap::GapError;
+use crate::gap::model::Chosen;
+use crate::sysid::box_qp::solve_in_box;
+use crate::sysid::interval::Posterior;
+use crate::sysid::nudging::Ensemble;
+
+/// Steps.
+const STEPS: usize = 4;
+/// Farthest that a number goes in one, in spreads.
+const FAR: f64 = 3.0;
+
+/// Where a fit ends.
+pub(super) struct Fitted {
+    pub point: Point,
+    pub machine: Machine,
+    pub ensemble: Ensemble,
+    /// F with that of the priors
+    pub cost: f64,
+}
+
+impl Fitted {
+    /// Effects with their values.
+    pub(super) fn chosen(&self) -> Vec<Chosen> {
+        let (point, machine) = (&self.point, &self.machine);
+        (machine.built).values(&machine.problem, &point.x, &point.written)
+    }
+
+    /// The normal matrix of all numbers with their priors, and the gradient.
+    pub(super) fn normal(&self, judge: &Judge<'_>) -> (DMatrix<f64>, DVector<f64>) {
+        let (r, slopes) = whitened(&self.ensemble, &judge.course);
+        let mut normal: DMatrix<f64> = slopes.tr_mul(&slopes);
+        let mut gradient: DVector<f64> = slopes.tr_mul(&r);
+        let parameters = &self.machine.problem.parameters;
+        for (i, (precision, slope)) in parameters.prior_slopes(&self.point.x).enumerate() {
+            normal[(i, i)] += precision;
+            gradient[i] += slope;
+        }
+        (normal, gradient)
+    }
+
+    /// Covariance of all numbers, by how deviations are correlated over time.
+    pub(super) fn covariance(&self, judge: &Judge<'_>) -> DMatrix<f64> {
+        let Ensemble { mean, slopes, .. } = &self.ensemble;
+        let innovations = judge.course.innovations(mean, slopes);
+        let problem = &self.machine.problem;
+        let lengths: Vec<usize> = problem.trials.iter().map(|t| t.n_knots).collect();
+        let x = &self.point.x;
+        Posterior::new(&problem.parameters, x, &innovations, &lengths).covariance
+    }
+}
+
+impl Judge<'_> {
+    /// All numbers of a model fitted from a point on; `known` slopes of the first of them. Nothing where it cannot be
+    /// simulated.
+    ///
+    /// # Errors
+    /// The engine fails.
+    pub(super) fn refit(
+        &self,
+        start: Point,
+        known: &DMatrix<f64>,
+    ) -> Result<Option<Fitted>, GapError> {
+        let Some(machine) = self.build(&start.written) else {
+            return Ok(None);
+        };
+        let mut slopes = DMatrix::zeros(known.nrows(), start.x.len());
+        let n = known.ncols().min(start.x.len());
+        slopes.columns_mut(0, n).copy_from(&known.columns(0, n));
+        let Some(mut best) = self.seen(machine, start, &slopes)? else {
+            return Ok(None);
+        };
+        for _ in 0..STEPS {
+            let x = self.step(&best);
+            let point = Point {
+                written: best.point.written.clone(),
+                x,
+            };
+            let Some(machine) = self.build(&point.written) else {
+                break;
+            };
+            let known = best.ensemble.slopes.clone();
+            match self.seen(machine, point, &known)? {
+                Some(next) if next.cost < best.cost => best = next,
+                _ => break,
+            }
+        }
+        Ok(Some(best))
+    }
+
+    fn seen(
+        &self,
+        machine: Machine,
+        point: Point,
+        known: &DMatrix<f64>,
+    ) -> Result<Option<Fitted>, GapError> {
+        let ensemble = match self.look(&machine, &point, known) {
+            Ok(ensemble) => ensemble,
+            Err(GapError::Sysid(_)) => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        Ok(Some(self.fitted(machine, point, ensemble)))
+    }
+
+    /// A point with what was seen there.
+    pub(super) fn fitted(&self, machine: Machine, point: Point, ensemble: Ensemble) -> Fitted {
+        let cost = self.course.misfit(ensemble.mean.as_slice());
+        let cost = cost + machine.problem.parameters.prior_cost(&point.x);
+        Fitted {
+            point,
+            machine,
+            ensemble,
+            cost,
+        }
+    }
+
+    /// Where the linearised problem has its least cost.
+    pub(super) fn step(&self, from: &Fitted) -> Vec<f64> {
+        let (normal, gradient) = from.normal(self);
+        let spreads = self.spreads(&from.machine, &from.point);
+        let parameters = &from.machine.problem.parameters;
+        let (low, high): (Vec<f64>, Vec<f64>) = (parameters.reach(&from.point.x).zip(&spreads))
+            .map(|((low, high), s)| (low.max(-FAR * s), high.min(FAR * s)))
+            .unzip();
+        let dx = solve_in_box(&normal, &(-gradient), &low, &high);
+        (from.point.x.iter().zip(&dx)).map(|(x, d)| x + d).collect()
+    }
+
+    /// Several points fitted, in their order.
+    ///
+    /// # Errors
+    /// The engine fails.
+    pub(super) fn refit_all(
+        &self,
+        points: Vec<Point>,
+        known: &DMatrix<f64>,
+    ) -> Result<Vec<Option<Fitted>>, GapError> {
+        let all: Vec<_> = (points.into_par_iter())
+            .map(|point| self.refit(point, known))
+            .collect();
+        all.into_iter().collect()
+    }
+}
