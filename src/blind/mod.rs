@@ -68,6 +68,8 @@ pub struct Suite {
     pub config: SuiteConfig,
     rig: RigConfig,
     model: ModelFile,
+    /// the same in the search's steps
+    searched: ModelFile,
     parameters: ProblemConfig,
     /// every case, in order
     pub cases: Vec<Case>,
@@ -86,10 +88,15 @@ impl Suite {
     ) -> Result<Self, BlindError> {
         let model = ModelFile::load(model)?;
         let cases = config.cases(&model.model, &rig)?;
+        let searched = match config.timestep {
+            Some(timestep) => model.paced(timestep)?,
+            None => model.clone(),
+        };
         Ok(Self {
             config,
             rig,
             model,
+            searched,
             parameters,
             cases,
         })
@@ -118,7 +125,7 @@ impl Suite {
         let holdout = record(&self.config.holdout)?;
         let protocol = Settings::default();
         let input = Input {
-            model: &self.model,
+            model: &self.searched,
             config: &self.parameters,
             train: &train,
             holdout: &holdout,
@@ -128,6 +135,7 @@ impl Suite {
         let options = Options {
             max_effects: self.config.max_effects,
             seed: case.seed,
+            pull_hz: self.config.pull_hz,
             most_windows: self.config.most_windows.unwrap_or(defaults.most_windows),
             ..defaults
         };
@@ -139,8 +147,9 @@ impl Suite {
         let given: Vec<(String, String)> = (score::hidden(truth).into_iter())
             .map(|at| (at.name, at.place))
             .collect();
+        let by_windows = options.pull_hz.is_none();
         let oracle = match (given.is_empty(), holdout.is_empty()) {
-            (false, false) => gap::with_effects(&input, &options, &given, report)?,
+            (false, false) if by_windows => gap::with_effects(&input, &options, &given, report)?,
             _ => None,
         };
         let scored = score::score(&self.config, case, truth, &answer, oracle.as_ref());
