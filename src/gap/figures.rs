@@ -16,8 +16,12 @@ const CONTEXT: usize = 2;
 pub fn summary(answer: &Answer) -> Vec<String> {
     let mut out = Vec::new();
     for l in answer.located.iter().take(5) {
+        let band = l.band_hz.map_or(String::new(), |[low, high]| {
+            format!(", mostly at {} to {} Hz", number(low), number(high))
+        });
+        let most = (l.most_at.as_ref()).map_or(String::new(), |at| format!(", most in {at}"));
         out.push(format!(
-            "disagreement: {} ({}): {} {} rms, mean {}",
+            "disagreement: {} ({}): {} {} rms, mean {}{band}{most}",
             l.channel,
             l.phase,
             number(l.effect_size),
@@ -238,7 +242,17 @@ fn maps(outcome: &Outcome) -> Section {
     let mut section = Section::new("Where model and recordings disagree").text(&what);
     let mut table = Table::new(
         "Cells whose mean is not chance, base model",
-        &["channel", "phase", "rms", "mean", "unit", "p (family)", "n"],
+        &[
+            "channel",
+            "phase",
+            "rms",
+            "mean",
+            "unit",
+            "p (family)",
+            "n",
+            "mostly, Hz",
+            "most of all",
+        ],
     );
     for l in &answer.located {
         table.push(vec![
@@ -249,6 +263,10 @@ fn maps(outcome: &Outcome) -> Section {
             l.unit.clone(),
             format!("{:.1e}", l.p_value),
             l.n.to_string(),
+            l.band_hz.map_or(String::new(), |[low, high]| {
+                format!("{} to {}", number(low), number(high))
+            }),
+            l.most_at.clone().unwrap_or_default(),
         ]);
     }
     section = section.table(table);

@@ -2,7 +2,8 @@
 //!
 //! In each window the forces f at the joints that would bring the model onto the recording, constant over the window and
 //! its first state free, follow by least squares. They are gathered in cells of joint × contact × direction × speed. A
-//! cell's mean is tested over stretches of time (t test, times the number of cells).
+//! cell's mean is tested over stretches of time (t test, times the number of cells). How fast what a joint misses changes
+//! says its band of frequencies ([`super::band`]), up to one over two windows.
 //!
 //! ```text
 //! r̃ + Φ f ≈ 0        Φ: what a constant torque at each joint does
@@ -13,6 +14,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use super::GapError;
+use super::band::band;
 use super::result::Located;
 use super::score::two_sided;
 use super::screen::Screen;
@@ -44,8 +46,10 @@ pub(super) struct Missing {
     pub motor: DMatrix<f64>,
     /// per window and joint: whether something touches what hangs together with the joint
     pub touching: Vec<Vec<bool>>,
-    /// s from the start of the recording
-    pub time_s: Vec<f64>,
+    /// of each window: index of its recording, s from the start of that
+    pub origin: Vec<(usize, f64)>,
+    /// name of each
+    pub names: Vec<String>,
     /// stretch of each window
     pub stretch_of: Vec<usize>,
 }
@@ -149,7 +153,8 @@ impl Missing {
             velocity,
             motor,
             touching,
-            time_s: windows.origin.iter().map(|o| o.1).collect(),
+            origin: windows.origin.clone(),
+            names: problem.trials.iter().map(|t| t.name.clone()).collect(),
             stretch_of: stretch_of.to_vec(),
         })
     }
@@ -192,8 +197,14 @@ impl Missing {
             }
         }
         let tests = cells.len() as f64;
+        let bands: Vec<Option<[f64; 2]>> = (0..self.joints.len())
+            .map(|joint| band(&self.origin, self.force.column(joint).as_slice()))
+            .collect();
         let mut out: Vec<Located> = (cells.into_iter())
-            .map(|(joint, phase, inside)| self.cell(joint, phase, &inside, tests))
+            .map(|(joint, phase, inside)| Located {
+                band_hz: bands[joint],
+                ..self.cell(joint, phase, &inside, tests)
+            })
             .filter(|l| l.p_value < LEVEL)
             .collect();
         out.sort_by(|a, b| b.effect_size.total_cmp(&a.effect_size));
@@ -220,6 +231,8 @@ impl Missing {
         } else {
             two_sided(mean / variance.sqrt(), groups - 1.0)
         };
+        let size = |w: &&usize| self.force[(**w, joint)].abs();
+        let most = (inside.iter()).max_by(|a, b| size(a).total_cmp(&size(b)));
         Located {
             channel: self.joints[joint].clone(),
             phase,
@@ -228,6 +241,8 @@ impl Missing {
             unit: self.units[joint].to_owned(),
             p_value: (p * tests).min(1.0),
             n: values.len(),
+            band_hz: None,
+            most_at: most.map(|&w| self.names[w].clone()),
         }
     }
 }

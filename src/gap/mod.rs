@@ -14,6 +14,7 @@
 
 mod absorb;
 mod alike;
+mod band;
 mod coarse;
 pub mod effect;
 mod elsewhere;

@@ -175,7 +175,8 @@ mod tests {
             velocity: column(&|t| (0.31 * t).cos()),
             motor: column(&|t| (1.7 * t).sin()),
             touching: vec![vec![false]; n],
-            time_s: Vec::new(),
+            origin: Vec::new(),
+            names: Vec::new(),
             stretch_of: (0..n).map(|w| w / 10).collect(),
         }
     }

@@ -105,6 +105,10 @@ pub struct Located {
     pub p_value: f64,
     /// windows
     pub n: usize,
+    /// Hz between which most of what the channel lacks is, in any phase; none where it is not told
+    pub band_hz: Option<[f64; 2]>,
+    /// recording and time where most is missing; none where it is not told
+    pub most_at: Option<String>,
 }
 
 /// An error of held-out recordings.

@@ -98,8 +98,6 @@ pub struct MissingSeries {
     pub joints: Vec<String>,
     /// of the forces
     pub units: Vec<String>,
-    /// s from the start of the recordings, one after the other
-    pub time_s: Vec<f64>,
     /// per joint (windows)
     pub force: Vec<Vec<f64>>,
     /// per joint (windows)
@@ -113,7 +111,6 @@ impl MissingSeries {
         Self {
             joints: missing.joints.clone(),
             units: missing.units.iter().map(|u| (*u).to_owned()).collect(),
-            time_s: missing.time_s.clone(),
             force: (0..n).map(|j| column(&missing.force, j)).collect(),
             velocity: (0..n).map(|j| column(&missing.velocity, j)).collect(),
         }

@@ -239,7 +239,7 @@ fn part(whole: &Problem, trial: &Trial, first: usize, last: usize) -> Trial {
         own.iter().map(|(t, u)| (t - from, *u)).collect()
     });
     Trial {
-        name: format!("{} from {:.3} s", trial.name, trial.start_s + from),
+        name: name(trial, trial.start_s + from),
         n_knots: last - first + 1,
         start_s: trial.start_s + from,
         controls: controls.collect(),
@@ -247,6 +247,11 @@ fn part(whole: &Problem, trial: &Trial, first: usize, last: usize) -> Trial {
         recording: std::sync::Arc::clone(&trial.recording),
         path: None,
     }
+}
+
+/// What a part of a recording from a time on, s, is called.
+pub(super) fn name(trial: &Trial, from_s: f64) -> String {
+    format!("{} from {from_s:.3} s", trial.name)
 }
 
 /// Whether a channel is the velocity of a hinge or slide.

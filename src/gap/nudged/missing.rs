@@ -6,8 +6,10 @@ use super::judge::{Judge, Machine, Point};
 use crate::gap::GapError;
 use crate::gap::locate::{Missing, unit};
 use crate::gap::score::STRETCHES;
+use crate::gap::windows;
 use crate::mujoco::{Model, ObjectKind};
 use crate::sysid::nudging::{Course, Pulled, trembling};
+use crate::sysid::problem::Problem;
 
 /// Simulations that forces are a mean of.
 const SIMULATIONS: usize = 4;
@@ -91,21 +93,21 @@ fn of(
     let told = told(model);
     let spreads = judge.spreads(machine, point);
     let mut sums: Option<Cells> = None;
-    for signs in trembling(point.x.len(), SIMULATIONS) {
+    for signs in trembling(point.x.len(), SIMULATIONS, 0) {
         let x: Vec<f64> = (0..point.x.len())
             .map(|j| point.x[j] + signs[j] * spreads[j])
             .collect();
         let Some(pulled) = course.pulled(&x)? else {
             continue;
         };
-        let own = cells(model, &told, &pulled, length_s);
+        let own = cells(problem, &told, &pulled, length_s);
         match &mut sums {
             None => sums = Some(own),
             Some(sum) => sum.add(&own),
         }
     }
     let Some(cells) = sums else { return Ok(None) };
-    let n = cells.time_s.len();
+    let n = cells.origin.len();
     let per = n.div_ceil(STRETCHES).max(1);
     Ok(Some(Missing {
         joints: told.iter().map(|t| t.name.clone()).collect(),
@@ -115,7 +117,10 @@ fn of(
         velocity: cells.velocity / cells.simulations,
         motor: cells.motor / cells.simulations,
         touching: cells.touching,
-        time_s: cells.time_s,
+        names: (cells.origin.iter())
+            .map(|(i, at_s)| windows::name(&problem.trials[*i], *at_s))
+            .collect(),
+        origin: cells.origin,
         stretch_of: (0..n).map(|w| w / per).collect(),
     }))
 }
@@ -128,7 +133,7 @@ struct Cells {
     velocity: DMatrix<f64>,
     motor: DMatrix<f64>,
     touching: Vec<Vec<bool>>,
-    time_s: Vec<f64>,
+    origin: Vec<(usize, f64)>,
 }
 
 impl Cells {
@@ -141,7 +146,8 @@ impl Cells {
     }
 }
 
-fn cells(model: &Model, told: &[Told], pulled: &[Pulled], length_s: f64) -> Cells {
+fn cells(problem: &Problem, told: &[Told], pulled: &[Pulled], length_s: f64) -> Cells {
+    let model = &problem.model;
     let steps = ((length_s / model.timestep()).round() as usize).max(1);
     let (nq, nv) = (model.nq(), model.nv());
     let n: usize = pulled.iter().map(|p| p.touching.len() / steps).sum();
@@ -153,13 +159,12 @@ fn cells(model: &Model, told: &[Told], pulled: &[Pulled], length_s: f64) -> Cell
         velocity: zeros(),
         motor: zeros(),
         touching: Vec::with_capacity(n),
-        time_s: Vec::with_capacity(n),
+        origin: Vec::with_capacity(n),
     };
     let root = |body: i32| model.body_rootid()[body as usize];
-    let mut began_s = 0.0;
-    for trial in pulled {
+    for (i, trial) in pulled.iter().enumerate() {
         for first in (0..trial.touching.len() / steps).map(|i| i * steps) {
-            let w = out.time_s.len();
+            let w = out.origin.len();
             for k in first..first + steps {
                 let part = 1.0 / steps as f64;
                 for (j, t) in told.iter().enumerate() {
@@ -175,9 +180,9 @@ fn cells(model: &Model, told: &[Told], pulled: &[Pulled], length_s: f64) -> Cell
             let own = told.iter().map(|t| root(model.dof_bodyid()[t.at.1]));
             out.touching
                 .push(own.map(|r| touched.contains(&r)).collect());
-            out.time_s.push(began_s + first as f64 * model.timestep());
+            let at_s = problem.trials[i].start_s + first as f64 * model.timestep();
+            out.origin.push((i, at_s));
         }
-        began_s += trial.touching.len() as f64 * model.timestep();
     }
     out
 }

@@ -254,7 +254,7 @@ pub(super) fn resume(
             remaining,
             round_trip,
             window_s: length_s,
-            n_windows: before.time_s.len(),
+            n_windows: before.origin.len(),
         },
         machines: [before_machine.model, after_machine.model],
         missing: [

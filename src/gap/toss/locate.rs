@@ -41,6 +41,8 @@ pub(super) fn locate(judge: &Judge<'_>, seen: &Seen) -> Result<Vec<Located>, Gap
                 1.0
             },
             n,
+            band_hz: None,
+            most_at: None,
         });
     }
     let tests = cells.len() as f64;
@@ -62,6 +64,8 @@ fn at_rest(judge: &Judge<'_>, seen: &Seen) -> Result<Option<Located>, GapError> 
         unit: "m".to_owned(),
         p_value: size.p_value,
         n: size.n,
+        band_hz: None,
+        most_at: None,
     }))
 }
 
@@ -142,6 +146,8 @@ fn in_flight(judge: &Judge<'_>) -> Result<Vec<Located>, GapError> {
             unit: "m/s^2".to_owned(),
             p_value: two_sided(mean / sigma.max(f64::MIN_POSITIVE), n - 1.0),
             n: flights.len(),
+            band_hz: None,
+            most_at: None,
         }
     };
     Ok((0..3).map(cell).collect())
