@@ -22,8 +22,11 @@ use crate::sysid::start;
 const CORRECTIONS: usize = 3;
 /// Simulations of a mean.
 const STILL: usize = 16;
-/// Part of its value by which an effect's number is moved to see what it does, and the least of the usual size.
+/// Part of its value by which an effect's number is moved to see what it does, of one that is being fitted and of one that
+/// nearly is: friction under which all sticks does no more than it has to, and what moves reach beyond that is not linear.
 const MOVED: f64 = 0.3;
+const MOVED_LITTLE: f64 = 0.1;
+/// The least of the usual size.
 const LEAST_MOVED: f64 = 0.1;
 
 /// Training and held-out recordings with the base model's parameters.
@@ -77,6 +80,8 @@ pub(super) struct Judge<'a> {
     pub measured: Measured,
     /// spreads of the base model's parameters
     pub spreads: Vec<f64>,
+    /// effects, the first of a model, whose numbers are nearly fitted
+    pub settled: usize,
     hz: f64,
     pub course: Course<'a>,
     held: Option<Course<'a>>,
@@ -102,6 +107,7 @@ impl<'a> Judge<'a> {
             rules: &input.config.parameter,
             measured: Measured::new(&problems.train, x, &motions)?,
             spreads: spreads.to_vec(),
+            settled: 0,
             hz,
             course: course(&problems.train)?,
             held: problems.held.as_ref().map(course).transpose()?,
@@ -149,7 +155,12 @@ impl<'a> Judge<'a> {
                 0.0 => parameter.high * parameter.scale(&scales),
                 typical => typical,
             };
-            let size = (MOVED * chosen.values[p].abs()).max(LEAST_MOVED * usual);
+            let moved = if i < self.settled {
+                MOVED_LITTLE
+            } else {
+                MOVED
+            };
+            let size = (moved * chosen.values[p].abs()).max(moved / MOVED * LEAST_MOVED * usual);
             spreads[j] = size / slope.abs();
         }
         spreads
@@ -172,7 +183,7 @@ impl<'a> Judge<'a> {
         )?)
     }
 
-    /// Slopes of the effects' numbers at a point, the others by `known`.
+    /// Slopes of the effects' numbers at a point, the others as known, in a draw of simulations.
     ///
     /// # Errors
     /// Simulations diverge.
@@ -180,7 +191,7 @@ impl<'a> Judge<'a> {
         &self,
         machine: &Machine,
         point: &Point,
-        known: &DMatrix<f64>,
+        known: (&DMatrix<f64>, usize),
     ) -> Result<Ensemble, GapError> {
         let course = self.course.beside(&machine.problem, &point.x);
         let spreads = self.spreads(machine, point);
@@ -223,7 +234,7 @@ impl<'a> Judge<'a> {
         let course = self.course.beside(&machine.problem, &point.x);
         let spreads = self.spreads(machine, point);
         let mut out = Vec::new();
-        for (draw, signs) in trembling(point.x.len(), STILL + draws)
+        for (draw, signs) in trembling(point.x.len(), STILL + draws, 0)
             .iter()
             .skip(STILL)
             .enumerate()

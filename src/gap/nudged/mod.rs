@@ -61,6 +61,8 @@ struct Fit {
 struct Step {
     effects: Vec<(String, Place, Vec<f64>)>,
     x: Vec<f64>,
+    /// all numbers in the steps of [`settled`]
+    tries: Vec<Vec<f64>>,
     kept: Vec<Evidence>,
     ended: bool,
 }
@@ -131,16 +133,19 @@ pub(super) fn resume(
     let screened = screen::screen(&judge, &base, &options.effects, watch)?;
     let mut found: Option<Fitted> = None;
     let mut kept: Vec<Evidence> = Vec::new();
+    let mut tries: Vec<Vec<f64>> = Vec::new();
     let mut last: Option<Vec<Candidate>> = None;
     for n in 1.. {
         watch.note = format!("effect {n}");
         let stage = format!("nudged-{n}");
         let known: Option<Step> = stages::load(keeper, &stage);
         if let Some((point, step)) = known.and_then(|step| Some((step.point()?, step))) {
+            judge.settled = point.written.len();
             if step.ended {
                 break;
             }
-            (found, kept) = (Some(linearised(&mut judge, point)?), step.kept);
+            found = Some(linearised(&mut judge, point)?);
+            (kept, tries) = (step.kept, step.tries);
             continue;
         }
         let present = found.as_ref().unwrap_or(&base);
@@ -154,11 +159,12 @@ pub(super) fn resume(
         let ended = more.is_none();
         if let Some((fitted, evidence)) = more {
             kept.push(evidence);
-            let mut next = settled(&mut judge, fitted)?;
+            let mut next;
+            (next, tries) = settled(&mut judge, fitted)?;
             while let Some(i) = forward::needless(&judge, &next)? {
                 kept.remove(i);
                 let fitted = forward::without(&judge, &next, i)?.ok_or_else(broken)?;
-                next = settled(&mut judge, fitted)?;
+                (next, tries) = settled(&mut judge, fitted)?;
             }
             found = Some(next);
         }
@@ -173,6 +179,7 @@ pub(super) fn resume(
         let step = Step {
             effects: present.point.written.iter().map(effect).collect(),
             x: present.point.x.clone(),
+            tries: tries.clone(),
             kept: kept.clone(),
             ended,
         };
@@ -185,7 +192,7 @@ pub(super) fn resume(
     let present = found.as_ref().unwrap_or(&base);
     watch.note.clear();
     watch.stage(Stage::Name);
-    let named = name::name(&judge, present, &kept)?;
+    let named = name::name(&judge, present, &tries, &kept)?;
     watch.stage(Stage::Verify);
     let round_trip = if named.effects.is_empty() {
         None
@@ -272,21 +279,29 @@ fn linearised(judge: &mut Judge<'_>, point: Point) -> Result<Fitted, GapError> {
     Ok(judge.fitted(machine, point, ensemble))
 }
 
-/// The same with all numbers of a fitted model fitted again, to pulls that are led by it.
-fn settled(judge: &mut Judge<'_>, fitted: Fitted) -> Result<Fitted, GapError> {
+/// The same with all numbers of a fitted model fitted again, to pulls that are led by it: the best of some steps, for where
+/// nothing more is told they go anywhere; and the numbers in all of these.
+fn settled(judge: &mut Judge<'_>, fitted: Fitted) -> Result<(Fitted, Vec<Vec<f64>>), GapError> {
+    judge.settled = fitted.point.written.len();
     let known = fitted.ensemble.slopes;
     let mut point = fitted.point;
+    let mut best = (f64::INFINITY, point.clone());
+    let mut tries = Vec::with_capacity(LED);
     for _ in 0..LED {
         let machine = judge.build(&point.written).ok_or_else(broken)?;
         judge.lead(&machine, &point.x)?;
-        let ensemble = judge.look(&machine, &point, &known)?;
+        let ensemble = judge.look(&machine, &point, (&known, 0))?;
         let fitted = judge.fitted(machine, point, ensemble);
+        tries.push(fitted.point.x.clone());
         point = Point {
             x: judge.step(&fitted),
-            written: fitted.point.written,
+            written: fitted.point.written.clone(),
         };
+        if fitted.cost < best.0 {
+            best = (fitted.cost, fitted.point);
+        }
     }
-    linearised(judge, point)
+    Ok((linearised(judge, best.1)?, tries))
 }
 
 /// Missing forces of the training recordings.

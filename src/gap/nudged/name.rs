@@ -1,7 +1,8 @@
 //! What to call what was found, and how surely its numbers are known.
 //!
 //! A number's variance is that of the linearised problem, with all other numbers free, and on top of it that of fits that
-//! are made again: simulations in contact are chaotic in small, and so are estimates by them.
+//! are made again, by other simulations and under pulls that other steps led: simulations in contact are chaotic in small,
+//! and so are estimates by them, and a friction under which a joint sticks throughout is told from below alone.
 
 use super::judge::{Judge, Point};
 use super::refit::Fitted;
@@ -23,35 +24,32 @@ pub(super) struct Names {
     pub fitted: Fitted,
 }
 
-/// Names of all effects of a model that has all its slopes.
+/// Names of all effects of a model that has all its slopes; `tries` are numbers of other fits.
 ///
 /// # Errors
 /// The engine fails.
 pub(super) fn name(
     judge: &Judge<'_>,
     present: &Fitted,
+    tries: &[Vec<f64>],
     kept: &[Evidence],
 ) -> Result<Names, GapError> {
     let n = present.point.x.len();
     let mut all: Vec<Vec<f64>> = Vec::new();
-    let mut x = present.point.x.clone();
-    for _ in 0..AGAIN {
+    for draw in 0..AGAIN {
         let machine = judge
             .build(&present.point.written)
             .ok_or_else(super::broken)?;
-        let point = Point {
-            written: present.point.written.clone(),
-            x,
-        };
-        let seen = judge.look(&machine, &point, &present.ensemble.slopes)?;
-        let seen = judge.fitted(machine, point, seen);
-        x = judge.step(&seen);
-        all.push(x.clone());
+        let known = (&present.ensemble.slopes, draw);
+        let seen = judge.look(&machine, &present.point, known)?;
+        let seen = judge.fitted(machine, present.point.clone(), seen);
+        all.push(judge.step(&seen));
     }
     let mean = |j: usize| all.iter().map(|x| x[j]).sum::<f64>() / AGAIN as f64;
     let x: Vec<f64> = (0..n).map(mean).collect();
+    all.extend_from_slice(tries);
     let scatter =
-        |j: usize| all.iter().map(|own| (own[j] - x[j]).powi(2)).sum::<f64>() / (AGAIN - 1) as f64;
+        |j: usize| all.iter().map(|own| (own[j] - x[j]).powi(2)).sum::<f64>() / all.len() as f64;
     let scatter: Vec<f64> = (0..n).map(scatter).collect();
     let machine = judge
         .build(&present.point.written)
@@ -60,7 +58,7 @@ pub(super) fn name(
         written: present.point.written.clone(),
         x,
     };
-    let seen = judge.look(&machine, &point, &present.ensemble.slopes)?;
+    let seen = judge.look(&machine, &point, (&present.ensemble.slopes, 0))?;
     let fitted = judge.fitted(machine, point, seen);
     let covariance = fitted.covariance(judge);
     let free = fitted.machine.built.free(&fitted.machine.problem);

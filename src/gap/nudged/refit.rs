@@ -99,7 +99,7 @@ impl Judge<'_> {
         point: Point,
         known: &DMatrix<f64>,
     ) -> Result<Option<Fitted>, GapError> {
-        let ensemble = match self.look(&machine, &point, known) {
+        let ensemble = match self.look(&machine, &point, (known, 0)) {
             Ok(ensemble) => ensemble,
             Err(GapError::Sysid(_)) => return Ok(None),
             Err(error) => return Err(error),

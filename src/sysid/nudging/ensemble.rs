@@ -45,7 +45,8 @@ impl Ensemble {
     }
 
     /// The same of the parameters `open` alone, by few simulations. The others tremble, so that chaos is another in each
-    /// simulation, and what `known` slopes (bins × parameters) make of that is taken off. All slopes are of the result.
+    /// simulation and in each `draw`, and what `known` slopes (bins × parameters) make of that is taken off. All slopes are
+    /// of the result.
     ///
     /// # Errors
     /// Too many simulations diverge to tell slopes.
@@ -54,10 +55,10 @@ impl Ensemble {
         x: &[f64],
         spreads: &[f64],
         open: &[usize],
-        known: &DMatrix<f64>,
+        (known, draw): (&DMatrix<f64>, usize),
     ) -> Result<Self, SysidError> {
         let own = design(open.len(), FEW);
-        let mut signs = trembling(x.len(), own.len());
+        let mut signs = trembling(x.len(), own.len(), draw);
         for (all, own) in signs.iter_mut().zip(own) {
             open.iter().zip(own).for_each(|(&j, s)| all[j] = s);
         }
@@ -75,7 +76,7 @@ impl Ensemble {
         known: &DMatrix<f64>,
         n: usize,
     ) -> Result<Self, SysidError> {
-        Self::beside_known(course, (x, spreads), &[], trembling(x.len(), n), known)
+        Self::beside_known(course, (x, spreads), &[], trembling(x.len(), n, 0), known)
     }
 
     fn beside_known(
@@ -193,12 +194,14 @@ fn design(n: usize, least: usize) -> Vec<Vec<f64>> {
     rows
 }
 
-/// Where `n` parameters are in so many simulations that differ by chaos, in spreads; the second half are opposites.
-pub(crate) fn trembling(n: usize, simulations: usize) -> Vec<Vec<f64>> {
+/// Where `n` parameters are in so many simulations that differ by chaos, in spreads; the second half are opposites. Another
+/// `draw` has others, up to a number of draws.
+pub(crate) fn trembling(n: usize, simulations: usize, draw: usize) -> Vec<Vec<f64>> {
     let all = design(n, LEAST.max(simulations));
     let (half, back) = (simulations.div_ceil(2), all.len() / 2);
     let rows = (0..half).chain(back..back + simulations - half);
-    rows.map(|i| all[i].iter().map(|s| TREMBLE * s).collect())
+    let moved = |i: usize| (i % back + draw * half) % back + back * (i / back);
+    rows.map(|i| all[moved(i)].iter().map(|s| TREMBLE * s).collect())
         .collect()
 }
 
