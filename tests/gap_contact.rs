@@ -74,7 +74,7 @@ fn record(rail: &str, seed: u64) -> (String, Recording) {
     (format!("push {seed}"), recording)
 }
 
-fn search(rail: &str, hz: f64) -> Result<Outcome, GapError> {
+fn search(rail: &str, hz: f64, timestep_s: Option<f64>) -> Result<Outcome, GapError> {
     let model = ModelFile::of_text(xml("", 0.05 - OFF_M, -4000.0), "pusher.xml").expect("loads");
     let config: ProblemConfig = toml::from_str(
         "command = \"held\"\n[[parameter]]\nelement = \"body/block\"\nattribute = \"pos\"\ncomponents = [0]\nprior_sigma = 0.003\n",
@@ -89,6 +89,7 @@ fn search(rail: &str, hz: f64) -> Result<Outcome, GapError> {
     };
     let options = Options {
         pull_hz: Some(hz),
+        timestep_s,
         ..Options::default()
     };
     gap::run(&input, &options, &mut |_, _, _| true)
@@ -96,7 +97,7 @@ fn search(rail: &str, hz: f64) -> Result<Outcome, GapError> {
 
 #[test]
 fn friction_under_a_pushed_block_is_named() {
-    let outcome = search(FRICTION, 5.0).expect("searched");
+    let outcome = search(FRICTION, 5.0, None).expect("searched");
     let answer = &outcome.answer;
     let names: Vec<(&str, &str)> = (answer.effects.iter())
         .map(|e| (e.name.as_str(), e.at.as_str()))
@@ -121,17 +122,20 @@ fn friction_under_a_pushed_block_is_named() {
 
 #[test]
 fn of_a_machine_like_its_model_nothing_is_found() {
-    let outcome = search("", 5.0).expect("searched");
+    let outcome = search("", 5.0, Some(0.001)).expect("searched");
     assert_eq!(
         outcome.answer.verdict,
         Verdict::None,
         "{:#?}",
         outcome.answer.effects
     );
+    // the file keeps its own steps
+    let model = Model::from_xml_str(&outcome.model).expect("loads");
+    assert_eq!(model.timestep(), 0.002);
 }
 
 #[test]
 fn a_pull_that_steps_cannot_follow_is_refused() {
-    let error = search("", 400.0).expect_err("refused");
+    let error = search("", 400.0, None).expect_err("refused");
     assert!(error.to_string().contains("pull"), "{error}");
 }

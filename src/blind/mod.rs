@@ -68,8 +68,6 @@ pub struct Suite {
     pub config: SuiteConfig,
     rig: RigConfig,
     model: ModelFile,
-    /// the same in the search's steps
-    searched: ModelFile,
     parameters: ProblemConfig,
     /// every case, in order
     pub cases: Vec<Case>,
@@ -88,15 +86,10 @@ impl Suite {
     ) -> Result<Self, BlindError> {
         let model = ModelFile::load(model)?;
         let cases = config.cases(&model.model, &rig)?;
-        let searched = match config.timestep {
-            Some(timestep) => model.paced(timestep)?,
-            None => model.clone(),
-        };
         Ok(Self {
             config,
             rig,
             model,
-            searched,
             parameters,
             cases,
         })
@@ -125,7 +118,7 @@ impl Suite {
         let holdout = record(&self.config.holdout)?;
         let protocol = Settings::default();
         let input = Input {
-            model: &self.searched,
+            model: &self.model,
             config: &self.parameters,
             train: &train,
             holdout: &holdout,
@@ -136,6 +129,7 @@ impl Suite {
             max_effects: self.config.max_effects,
             seed: case.seed,
             pull_hz: self.config.pull_hz,
+            timestep_s: self.config.timestep,
             most_windows: self.config.most_windows.unwrap_or(defaults.most_windows),
             ..defaults
         };

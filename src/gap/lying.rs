@@ -51,13 +51,7 @@ impl<'a> Lying<'a> {
         if !(0..model.nv()).any(is_free) {
             return Ok(Still::default());
         }
-        let mut contacts = BTreeSet::new();
-        for qpos in motion.chunks_exact(model.nq()).step_by(EVERY) {
-            self.data.qpos_mut().copy_from_slice(qpos);
-            self.data.position_stage()?;
-            contacts.extend(self.data.contacts().iter().map(Contact::geoms));
-        }
-        let partition = Partition::new(self.problem, &contacts);
+        let partition = self.partition(motion)?;
         let mut still = Still::default();
         for part in partition.dofs.iter().copied().collect::<BTreeSet<_>>() {
             let dofs: Vec<usize> = (0..model.nv())
@@ -67,7 +61,10 @@ impl<'a> Lying<'a> {
                 .filter(|c| partition.channels[*c] == Some(part))
                 .collect();
             let free = dofs.iter().all(|d| is_free(*d));
-            if free && !partition.driven.contains(&part) && self.rests(trial, &channels) {
+            if free
+                && !partition.driven.contains(&part)
+                && self.rests(trial, &channels) == Some(true)
+            {
                 still.dofs.extend(dofs);
                 still.channels.extend(channels);
             }
@@ -75,25 +72,62 @@ impl<'a> Lying<'a> {
         Ok(still)
     }
 
-    /// Whether positions are among the channels, and none of them moves.
-    fn rests(&self, trial: &Trial, channels: &BTreeSet<usize>) -> bool {
-        let mut any = false;
+    /// Whether something driven touches a body that no motor moves of itself, or such a body moves, in a trial whose motion
+    /// is estimated as `motion` (knots × nq).
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn is_pushed(&mut self, trial: &Trial, motion: &[f64]) -> Result<bool, SysidError> {
+        let apart = Partition::new(self.problem, &BTreeSet::new());
+        let together = self.partition(motion)?;
+        let model = &*self.problem.model;
+        for dof in 0..model.nv() {
+            let own = apart.dofs[dof];
+            let is_free = model.is_free(model.dof_jntid()[dof] as usize);
+            if !is_free || apart.driven.contains(&own) {
+                continue;
+            }
+            let channels: BTreeSet<usize> = (0..apart.channels.len())
+                .filter(|c| apart.channels[*c] == Some(own))
+                .collect();
+            let touched = together.driven.contains(&together.dofs[dof]);
+            if touched || self.rests(trial, &channels) == Some(false) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// What belongs together where things touch that do so in the motion.
+    fn partition(&mut self, motion: &[f64]) -> Result<Partition, SysidError> {
+        let mut contacts = BTreeSet::new();
+        for qpos in motion.chunks_exact(self.problem.model.nq()).step_by(EVERY) {
+            self.data.qpos_mut().copy_from_slice(qpos);
+            self.data.position_stage()?;
+            contacts.extend(self.data.contacts().iter().map(Contact::geoms));
+        }
+        Ok(Partition::new(self.problem, &contacts))
+    }
+
+    /// Whether none of the positions among the channels moves; none where there are none.
+    fn rests(&self, trial: &Trial, channels: &BTreeSet<usize>) -> Option<bool> {
+        let mut rests = None;
         for &c in channels {
             let channel = &self.problem.channels[c];
             let own: Vec<&Sample> = trial.samples.iter().filter(|s| s.channel == c).collect();
             if channel.stage != Stage::Position || own.len() < 2 {
                 continue;
             }
-            any = true;
             let mean =
                 |part: &[&Sample]| part.iter().map(|s| s.value).sum::<f64>() / part.len() as f64;
             let (all, halves) = (mean(&own), own.split_at(own.len() / 2));
             let away = |s: &&Sample| (s.value - all).abs() > AWAY * channel.sigma * s.spread;
             let drift = (mean(halves.1) - mean(halves.0)).abs();
             if own.iter().any(away) || drift > DRIFT * channel.sigma {
-                return false;
+                return Some(false);
             }
+            rests = Some(true);
         }
-        any
+        rests
     }
 }

@@ -54,8 +54,11 @@ pub struct Options {
     pub most_windows: usize,
     /// s of a window; none: from the data
     pub window_s: Option<f64>,
-    /// Hz at which simulations are pulled along the recordings, for machines in contact; none: windows
+    /// Hz at which simulations are pulled along the recordings; none: those of machines that push or press a body, if no
+    /// window is asked for
     pub pull_hz: Option<f64>,
+    /// s of the steps of simulations; none: the model's, of pulled ones longer ones where contacts allow
+    pub timestep_s: Option<f64>,
     /// names of the effects to look for; none: all
     pub effects: Vec<String>,
 }
@@ -69,6 +72,7 @@ impl Default for Options {
             most_windows: 240,
             window_s: None,
             pull_hz: None,
+            timestep_s: None,
             effects: Vec::new(),
         }
     }
@@ -136,12 +140,47 @@ pub fn resume(
     report: Report<'_>,
 ) -> Result<Outcome, GapError> {
     let mut watch = Watch::new(report);
+    let hz = match (options.pull_hz, options.window_s) {
+        _ if input.protocol.drop.is_some() => None,
+        (None, None) => nudged::is_pushing(input)?.then_some(nudged::USUAL_HZ),
+        (hz, _) => hz,
+    };
+    let pulled = hz.and_then(|_| nudged::longer_steps(&input.model.model));
+    let Some(timestep_s) = options.timestep_s.or(pulled) else {
+        return by_method(input, options, hz, keeper, &mut watch);
+    };
+    let paced = input.model.paced(timestep_s)?;
+    let own = Input {
+        model: &paced,
+        ..*input
+    };
+    let mut outcome = by_method(&own, options, hz, keeper, &mut watch)?;
+    let own_s = input.model.model.timestep();
+    outcome.answer.gap.notes.push(format!(
+        "simulated in steps of {timestep_s} s, the model's own being {own_s} s (--timestep)"
+    ));
+    // files keep their own
+    for text in [&mut outcome.model, &mut outcome.extended] {
+        let found = ModelFile::of_text(std::mem::take(text), &input.model.path)?;
+        *text = found.paced(own_s)?.xml;
+    }
+    Ok(outcome)
+}
+
+/// By whole rollouts, by simulations that are pulled at `hz`, or in windows.
+fn by_method(
+    input: &Input<'_>,
+    options: &Options,
+    hz: Option<f64>,
+    keeper: &mut dyn Keeper,
+    watch: &mut Watch<'_>,
+) -> Result<Outcome, GapError> {
     if input.protocol.drop.is_some() {
-        toss::resume(input, options, keeper, &mut watch)
-    } else if let Some(hz) = options.pull_hz {
-        nudged::resume(input, options, hz, keeper, &mut watch)
+        toss::resume(input, options, keeper, watch)
+    } else if let Some(hz) = hz {
+        nudged::resume(input, options, hz, keeper, watch)
     } else {
-        lengths::search(input, options, keeper, &mut watch)
+        lengths::search(input, options, keeper, watch)
     }
 }
 

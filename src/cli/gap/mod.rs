@@ -39,8 +39,8 @@ use crate::sysid::problem::ProblemConfig;
       --binding bindings/emps.toml --protocol bindings/emps.protocol.toml --out gap
   phantom gap --model cube.xml --train tosses.csv.gz --holdout tosses.csv.gz --binding bindings/cube_toss.toml \\
       --protocol bindings/cube_toss.protocol.toml --out gap             tosses, by whole rollouts
-  phantom gap --parameters contact.toml --train slide.mcap push.mcap --holdout other.mcap --pull 5 --out gap
-                                                                      machines in stiff contact
+  phantom gap --parameters contact.toml --train slide.mcap push.mcap --holdout other.mcap --out gap
+                                                                      machines that push a body
   phantom gap --parameters finger.toml --train free.mcap --out gap --max-effects 1 --json
   phantom gap bench --suite suites/arm.toml --out blind               how often it is right"
 )]
@@ -100,11 +100,11 @@ struct SearchArgs {
     /// Length of the windows that are simulated, s [default: from the recordings]
     #[arg(long, value_name = "S", value_parser = positive)]
     window: Option<f64>,
-    /// Pull simulations of whole recordings along their motion at this natural frequency, Hz, instead of windows: for
-    /// machines in stiff contact; 5 as a rule
+    /// Pull simulations of whole recordings along their motion at this natural frequency, Hz, instead of windows [default:
+    /// 5 where the machine pushes or presses a free body and no window is given]
     #[arg(long, value_name = "HZ", value_parser = positive, conflicts_with = "window")]
     pull: Option<f64>,
-    /// Simulate in steps of this length, s, instead of the model's [default: the model's]
+    /// Simulate in steps of this length, s [default: the model's; pulled simulations: up to 0.001 where contacts allow]
     #[arg(long, value_name = "S", value_parser = positive)]
     timestep: Option<f64>,
     /// Print gap.json
@@ -128,12 +128,8 @@ impl SearchArgs {
         protocol.check()?;
         let [train, holdout] = self.recordings(&protocol)?;
         let folder = write::Folder::new(&self.out)?;
-        let paced = match self.timestep {
-            Some(timestep) => model.paced(timestep).map_err(GapError::from)?,
-            None => model.clone(),
-        };
         let input = Input {
-            model: &paced,
+            model: &model,
             config: &config,
             train: &train,
             holdout: &holdout,
@@ -144,6 +140,7 @@ impl SearchArgs {
             seed: self.seed,
             window_s: self.window,
             pull_hz: self.pull,
+            timestep_s: self.timestep,
             effects: self.effects.clone(),
             ..Options::default()
         };
@@ -153,13 +150,7 @@ impl SearchArgs {
             watch.see(stage, note, part)
         });
         watch.bar.finish_and_clear();
-        let mut outcome = outcome?;
-        if self.timestep.is_some() {
-            // the file keeps its own
-            let found = ModelFile::of_text(outcome.model, &path).map_err(GapError::from)?;
-            let own = found.paced(model.model.timestep());
-            outcome.model = own.map_err(GapError::from)?.xml;
-        }
+        let outcome = outcome?;
         let title = format!("What {} lacks", path.display());
         let written = folder.write(&title, &model, &outcome)?;
         stages.finish()?;

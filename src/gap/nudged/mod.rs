@@ -24,6 +24,7 @@ mod missing;
 mod name;
 mod refit;
 mod screen;
+mod suits;
 
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +43,7 @@ use crate::sysid::nudging::{self, NudgingSettings};
 use judge::{Judge, Point, Problems};
 use refit::Fitted;
 use screen::{Candidate, LEAST_VISIBLE};
+pub(super) use suits::{USUAL_HZ, is_pushing, longer_steps};
 
 /// s of the stretches that missing forces are means over, in periods of the pull.
 const STRETCH: f64 = 0.5;
@@ -99,6 +101,7 @@ pub(super) fn resume(
     keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, GapError> {
+    watch.windows = format!("pulled at {hz} Hz");
     watch.stage(Stage::Fit);
     check_effects(&options.effects, &input.model.model)?;
     let problems = Problems::new(input)?;
@@ -233,6 +236,10 @@ pub(super) fn resume(
             unit: "%".into(),
         });
     }
+    gap.notes.push(format!(
+        "whole recordings are simulated, pulled along their motion at {hz} Hz (--pull): windows do not follow what a machine \
+         pushes (--window)"
+    ));
     let untestable = untestable(&screened);
     let located: Vec<Located> = before.located();
     let law = left::law(&rest);
