@@ -9,6 +9,7 @@ use crate::gap::model::Chosen;
 use crate::gap::name::APART;
 use crate::gap::result::{Returned, RoundTrip};
 use crate::gap::run::Options;
+use crate::gap::score::mean;
 use crate::gap::{GapError, Watch};
 
 /// Candidates that are fitted.
@@ -16,6 +17,8 @@ const RIVALS: usize = 8;
 /// Part by which mean squares of deviations have to fall, over all channels, and those of held-out recordings.
 const LEAST: f64 = 0.01;
 const LEAST_HELD: f64 = 0.005;
+/// Standard errors that a fall of the cost is more than chaos, which is another in each draw of simulations.
+const SURE: f64 = 3.0;
 /// Chance that a kept effect does nothing, above which it goes.
 const LEAVES: f64 = 0.01;
 
@@ -27,6 +30,12 @@ pub(super) fn part(fall: f64, worth: f64) -> f64 {
 /// Number of candidates that could be found.
 pub(super) fn tests(all: &[Candidate]) -> usize {
     all.iter().filter(|c| c.visible >= LEAST_VISIBLE).count()
+}
+
+/// By how much costs fall at least, all but surely, of two models in several draws of simulations each.
+fn surely(before: &[f64], after: &[f64]) -> f64 {
+    let ((before, own), (after, other)) = (mean(before), mean(after));
+    before - after - SURE * own.hypot(other)
 }
 
 fn numbers(effect: &dyn crate::gap::effect::Effect) -> usize {
@@ -87,11 +96,19 @@ pub(super) fn forward(
     let mut fitted: Vec<Fitted> = fitted.into_iter().flatten().collect();
     fitted.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let held = judge.held(&present.machine, &present.point)?;
+    let before = if fitted.is_empty() {
+        Vec::new()
+    } else {
+        judge.costs(present)?
+    };
     for i in 0..fitted.len() {
         let own = &fitted[i];
         let chosen = own.chosen();
         let Some(last) = chosen.last() else { continue };
-        let fall = present.cost - own.cost;
+        if !stands(judge, options, last, present.cost - own.cost, 0.0) {
+            continue;
+        }
+        let fall = surely(&before, &judge.costs(own)?);
         let shapes = last.effect.about().shapes() as f64;
         let p_value = (chance(fall, numbers(last.effect)) * n_tests * shapes).min(1.0);
         if !stands(judge, options, last, fall, p_value) {
@@ -150,7 +167,7 @@ pub(super) fn without(
     let stays = |j: &usize| !gone.contains(j);
     let order: Vec<usize> = (0..present.point.x.len()).filter(stays).collect();
     let x = order.iter().map(|&j| present.point.x[j]).collect();
-    let known = present.ensemble.slopes.select_columns(&order);
+    let known = present.ensemble.slopes.only(&order);
     judge.refit(Point { written, x }, &known)
 }
 
@@ -163,15 +180,14 @@ pub(super) fn needless(judge: &Judge<'_>, present: &Fitted) -> Result<Option<usi
     if n < 2 {
         return Ok(None);
     }
+    let with = judge.costs(present)?;
     let mut worst: Option<(f64, usize)> = None;
     for i in 0..n {
         let Some(fitted) = without(judge, present, i)? else {
             continue;
         };
-        let p = chance(
-            fitted.cost - present.cost,
-            numbers(present.point.written[i].effect),
-        );
+        let fall = surely(&judge.costs(&fitted)?, &with);
+        let p = chance(fall, numbers(present.point.written[i].effect));
         if p > LEAVES && worst.is_none_or(|w| p > w.0) {
             worst = Some((p, i));
         }

@@ -12,7 +12,7 @@ use crate::gap::model::{Built, Chosen, Measured};
 use crate::gap::run::Input;
 use crate::recording::Recording;
 use crate::rng::{self, Purpose};
-use crate::sysid::nudging::{Course, Ensemble, trembling};
+use crate::sysid::nudging::{Course, Ensemble, Slopes, trembling};
 use crate::sysid::parameter::ParameterRule;
 use crate::sysid::path::Path;
 use crate::sysid::problem::Problem;
@@ -191,7 +191,7 @@ impl<'a> Judge<'a> {
         &self,
         machine: &Machine,
         point: &Point,
-        known: (&DMatrix<f64>, usize),
+        known: (&Slopes, usize),
     ) -> Result<Ensemble, GapError> {
         let course = self.course.beside(&machine.problem, &point.x);
         let spreads = self.spreads(machine, point);
@@ -212,7 +212,7 @@ impl<'a> Judge<'a> {
         let course = held.beside(&problem, &point.x);
         let spreads = self.spreads(machine, point);
         // slopes there are not known, and trembling is little
-        let known = DMatrix::zeros(course.n_bins(), point.x.len());
+        let known = Slopes::zeros(course.n_bins(), point.x.len());
         let found = Ensemble::still(&course, &point.x, &spreads, &known, STILL);
         Ok(Some(found.map_or(f64::INFINITY, |e| {
             course.misfit(e.mean.as_slice())
@@ -245,7 +245,7 @@ impl<'a> Judge<'a> {
                 return Ok(None);
             };
             // its chaos, without what its parameters are moved by
-            let own = DVector::from_vec(own.bins) - &fitted.ensemble.slopes * moved;
+            let own = DVector::from_vec(own.bins) - &fitted.ensemble.slopes.by * moved;
             let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, draw as u64);
             let noise = (course.noise_sigma()).map(|sigma| sigma * rng::normal(&mut rng));
             out.push(&fitted.ensemble.mean - own + noise);

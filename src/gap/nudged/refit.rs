@@ -8,10 +8,12 @@ use crate::gap::GapError;
 use crate::gap::model::Chosen;
 use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::interval::Posterior;
-use crate::sysid::nudging::Ensemble;
+use crate::sysid::nudging::{Ensemble, Slopes};
 
 /// Steps.
 const STEPS: usize = 4;
+/// Draws of simulations by which costs are compared.
+const DRAWS: usize = 4;
 /// Farthest that a number goes in one, in spreads.
 const FAR: f64 = 3.0;
 
@@ -61,17 +63,11 @@ impl Judge<'_> {
     ///
     /// # Errors
     /// The engine fails.
-    pub(super) fn refit(
-        &self,
-        start: Point,
-        known: &DMatrix<f64>,
-    ) -> Result<Option<Fitted>, GapError> {
+    pub(super) fn refit(&self, start: Point, known: &Slopes) -> Result<Option<Fitted>, GapError> {
         let Some(machine) = self.build(&start.written) else {
             return Ok(None);
         };
-        let mut slopes = DMatrix::zeros(known.nrows(), start.x.len());
-        let n = known.ncols().min(start.x.len());
-        slopes.columns_mut(0, n).copy_from(&known.columns(0, n));
+        let slopes = known.widened(start.x.len());
         let Some(mut best) = self.seen(machine, start, &slopes)? else {
             return Ok(None);
         };
@@ -97,7 +93,7 @@ impl Judge<'_> {
         &self,
         machine: Machine,
         point: Point,
-        known: &DMatrix<f64>,
+        known: &Slopes,
     ) -> Result<Option<Fitted>, GapError> {
         let ensemble = match self.look(&machine, &point, (known, 0)) {
             Ok(ensemble) => ensemble,
@@ -119,6 +115,20 @@ impl Judge<'_> {
         }
     }
 
+    /// F of a fitted model in several draws of simulations, none of which it was fitted by.
+    ///
+    /// # Errors
+    /// Simulations diverge.
+    pub(super) fn costs(&self, fitted: &Fitted) -> Result<Vec<f64>, GapError> {
+        let (machine, point) = (&fitted.machine, &fitted.point);
+        let prior = machine.problem.parameters.prior_cost(&point.x);
+        let one = |draw| {
+            let ensemble = self.look(machine, point, (&fitted.ensemble.slopes, draw))?;
+            Ok(self.course.misfit(ensemble.mean.as_slice()) + prior)
+        };
+        (1..=DRAWS).map(one).collect()
+    }
+
     /// Where the linearised problem has its least cost.
     pub(super) fn step(&self, from: &Fitted) -> Vec<f64> {
         let (normal, gradient) = from.normal(self);
@@ -138,7 +148,7 @@ impl Judge<'_> {
     pub(super) fn refit_all(
         &self,
         points: Vec<Point>,
-        known: &DMatrix<f64>,
+        known: &Slopes,
     ) -> Result<Vec<Option<Fitted>>, GapError> {
         let all: Vec<_> = (points.into_par_iter())
             .map(|point| self.refit(point, known))

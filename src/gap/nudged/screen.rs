@@ -393,8 +393,7 @@ fn column(
     let point = Point { written, x };
     let mut spreads = judge.spreads(&machine, &point);
     spreads[n..].fill(0.0);
-    let mut known = DMatrix::zeros(present.ensemble.slopes.nrows(), point.x.len());
-    known.columns_mut(0, n).copy_from(&present.ensemble.slopes);
+    let known = present.ensemble.slopes.widened(point.x.len());
     let seen = Ensemble::still(&course, &point.x, &spreads, &known, simulations).ok()?;
     Some((seen.mean - &present.ensemble.mean) / size)
 }

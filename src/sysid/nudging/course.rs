@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use rayon::prelude::*;
 
 use super::bins::{Bins, Series};
+use super::ensemble::Slopes;
 use super::pull::Pull;
+use super::told::purging;
 use crate::mujoco::Data;
 use crate::sysid::SysidError;
 use crate::sysid::fit::Innovations;
@@ -172,9 +174,17 @@ impl<'a> Course<'a> {
         weights
     }
 
-    /// Whitened slopes (bins × parameters) and deviations in the order of time.
-    pub(crate) fn innovations(&self, mean: &DVector<f64>, slopes: &DMatrix<f64>) -> Innovations {
+    /// Whitened slopes (bins × parameters), without what chaos adds to their squares, and deviations in the order of time.
+    pub(crate) fn innovations(&self, mean: &DVector<f64>, slopes: &Slopes) -> Innovations {
         let weights = self.weights(mean.as_slice());
+        let chaos = &slopes.chaos;
+        let mut slopes = slopes.by.clone();
+        for mut column in slopes.column_iter_mut() {
+            column.component_mul_assign(&weights);
+        }
+        if let Some(by) = purging(&slopes.tr_mul(&slopes), chaos) {
+            slopes *= by;
+        }
         let mut order: Vec<usize> = (0..mean.len()).collect();
         let place = |i: &usize| self.bins.all[*i].place;
         order.sort_by_key(place);
@@ -184,8 +194,7 @@ impl<'a> Course<'a> {
             ..Innovations::default()
         };
         for i in order {
-            let row = slopes.row(i);
-            (innovations.rows).extend(row.iter().map(|s| s * weights[i]));
+            innovations.rows.extend(slopes.row(i).iter());
             innovations.rows.push(-mean[i] * weights[i]);
         }
         innovations

@@ -21,13 +21,47 @@ const FEW: usize = 3;
 /// How far parameters tremble that are not open, in their spreads.
 const TREMBLE: f64 = 0.05;
 
+/// Slopes of deviations.
+#[derive(Debug, Clone)]
+pub(crate) struct Slopes {
+    /// (bins × parameters)
+    pub by: DMatrix<f64>,
+    /// of each parameter's, whitened: sum of squares that chaos adds to it
+    pub chaos: DVector<f64>,
+}
+
+impl Slopes {
+    pub(crate) fn zeros(bins: usize, parameters: usize) -> Self {
+        Self {
+            by: DMatrix::zeros(bins, parameters),
+            chaos: DVector::zeros(parameters),
+        }
+    }
+
+    /// The first of them, and nothing for others up to so many.
+    pub(crate) fn widened(&self, parameters: usize) -> Self {
+        let mut wide = Self::zeros(self.by.nrows(), parameters);
+        let n = self.by.ncols().min(parameters);
+        (wide.by.columns_mut(0, n)).copy_from(&self.by.columns(0, n));
+        (wide.chaos.rows_mut(0, n)).copy_from(&self.chaos.rows(0, n));
+        wide
+    }
+
+    /// Those of some parameters.
+    pub(crate) fn only(&self, parameters: &[usize]) -> Self {
+        Self {
+            by: self.by.select_columns(parameters),
+            chaos: self.chaos.select_rows(parameters),
+        }
+    }
+}
+
 /// The problem linearised.
 #[derive(Debug, Clone)]
 pub(crate) struct Ensemble {
     /// mean deviations of all bins at the centre
     pub mean: DVector<f64>,
-    /// (bins × parameters)
-    pub slopes: DMatrix<f64>,
+    pub slopes: Slopes,
     /// sum of squares, whitened, by which a simulation differs from the linear
     pub rough: f64,
     /// simulations
@@ -55,7 +89,7 @@ impl Ensemble {
         x: &[f64],
         spreads: &[f64],
         open: &[usize],
-        (known, draw): (&DMatrix<f64>, usize),
+        (known, draw): (&Slopes, usize),
     ) -> Result<Self, SysidError> {
         let own = design(open.len(), FEW);
         let mut signs = trembling(x.len(), own.len(), draw);
@@ -73,7 +107,7 @@ impl Ensemble {
         course: &Course<'_>,
         x: &[f64],
         spreads: &[f64],
-        known: &DMatrix<f64>,
+        known: &Slopes,
         n: usize,
     ) -> Result<Self, SysidError> {
         Self::beside_known(course, (x, spreads), &[], trembling(x.len(), n, 0), known)
@@ -84,19 +118,20 @@ impl Ensemble {
         (x, spreads): (&[f64], &[f64]),
         open: &[usize],
         signs: Vec<Vec<f64>>,
-        known: &DMatrix<f64>,
+        known: &Slopes,
     ) -> Result<Self, SysidError> {
         let off = |moved: &[f64], bins: &mut DVector<f64>| {
             let mut by = DVector::from_column_slice(moved);
             for &j in open {
                 by[j] = 0.0;
             }
-            bins.gemv(-1.0, known, &by, 1.0);
+            bins.gemv(-1.0, &known.by, &by, 1.0);
         };
         let found = Self::regress(course, x, spreads, open, signs, off)?;
         let mut slopes = known.clone();
         for (k, &j) in open.iter().enumerate() {
-            slopes.set_column(j, &found.slopes.column(k));
+            slopes.by.set_column(j, &found.slopes.by.column(k));
+            slopes.chaos[j] = found.slopes.chaos[k];
         }
         Ok(Self { slopes, ..found })
     }
@@ -144,13 +179,16 @@ impl Ensemble {
         let squares = left.column_iter().map(|bin| bin.norm_squared());
         let square: f64 = squares.zip(&weights).map(|(s, w)| s * w * w).sum();
         let rough = square / (n - moves.ncols()).max(1) as f64;
-        let mut slopes = fitted.rows_range(1..).transpose();
-        for (mut column, &j) in slopes.column_iter_mut().zip(open) {
+        let mut by = fitted.rows_range(1..).transpose();
+        for (mut column, &j) in by.column_iter_mut().zip(open) {
             column /= spreads[j];
         }
+        let chaos = DVector::from_fn(open.len(), |k, _| {
+            rough / (moves.column(k + 1).norm_squared() * spreads[open[k]].powi(2))
+        });
         Ok(Self {
             mean,
-            slopes,
+            slopes: Slopes { by, chaos },
             rough,
             n,
         })
@@ -158,7 +196,7 @@ impl Ensemble {
 
     /// Slopes, each bin times its weight.
     pub(crate) fn whitened(&self, weights: &DVector<f64>) -> DMatrix<f64> {
-        let mut slopes = self.slopes.clone();
+        let mut slopes = self.slopes.by.clone();
         for mut column in slopes.column_iter_mut() {
             column.component_mul_assign(weights);
         }

@@ -40,13 +40,14 @@ mod ensemble;
 mod pull;
 mod pulled;
 mod search;
+mod told;
 
 use super::fit::{Fit, Iteration, Start, Status};
 use super::norm::Norm;
 use super::problem::Problem;
 use super::{SysidError, path};
 pub(crate) use course::Course;
-pub(crate) use ensemble::{Ensemble, trembling};
+pub(crate) use ensemble::{Ensemble, Slopes, trembling};
 pub(crate) use pulled::Pulled;
 use search::Search;
 

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::broken;
 use super::course::{Course, Here};
-use super::ensemble::Ensemble;
+use super::ensemble::{Ensemble, Slopes};
 use crate::sysid::SysidError;
 use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::fit::{Fit, Innovations, Iteration, Status};
@@ -198,10 +198,11 @@ impl<'a> Search<'a> {
         let n = self.last.len() as f64;
         let n_bins = self.here.bins.len();
         let mut mean = DVector::zeros(n_bins);
-        let mut slopes = DMatrix::zeros(n_bins, self.x.len());
+        let mut slopes = Slopes::zeros(n_bins, self.x.len());
         for (_, ensemble) in &self.last {
             mean += &ensemble.mean / n;
-            slopes += &ensemble.slopes / n;
+            slopes.by += &ensemble.slopes.by / n;
+            slopes.chaos += &ensemble.slopes.chaos / (n * n);
         }
         self.course.innovations(&mean, &slopes)
     }
