@@ -65,21 +65,22 @@ fn what_makes_no_sense_is_named() {
     );
 }
 
-/// A suite of `suites/` with the rig, model and parameters of its name.
+/// A suite of `suites/`.
 fn shipped(name: &str, change: impl Fn(&mut SuiteConfig)) -> Suite {
-    let read = |path: &str| std::fs::read_to_string(root(path)).expect("shipped");
-    let mut config: SuiteConfig =
-        toml::from_str(&read(&format!("suites/{name}.toml"))).expect("a suite");
+    let suites = root("suites");
+    let read = |path: &Path| std::fs::read_to_string(suites.join(path)).expect("shipped");
+    let file = format!("{name}.toml");
+    let mut config: SuiteConfig = toml::from_str(&read(file.as_ref())).expect("a suite");
     change(&mut config);
-    let rig: RigConfig = toml::from_str(&read(&format!("rigs/{name}.toml"))).expect("a rig");
-    let parameters = toml::from_str(&read(&format!("parameters/{name}.toml"))).expect("parameters");
-    let model = Suite::model_of(&rig, &root("rigs/x.toml")).expect("named");
+    let rig: RigConfig = toml::from_str(&read(&config.rig)).expect("a rig");
+    let parameters = toml::from_str(&read(&config.parameters)).expect("parameters");
+    let model = Suite::model_of(&rig, &suites.join(&config.rig)).expect("named");
     Suite::new(config, rig, &model, parameters).expect("fits")
 }
 
 #[test]
 fn shipped_suites_fit_their_rigs() {
-    for name in ["arm", "finger"] {
+    for name in ["arm", "contact", "finger"] {
         assert!(!shipped(name, |_| ()).cases.is_empty());
     }
 }

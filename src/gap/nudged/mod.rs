@@ -48,8 +48,9 @@ pub(super) use suits::{USUAL_HZ, is_pushing, longer_steps};
 /// s of the stretches that missing forces are means over, in periods of the pull.
 const STRETCH: f64 = 0.5;
 
-/// Steps after which pulls are led anew, once an effect is put in.
-const LED: usize = 5;
+/// Steps before each of which pulls are led anew, once an effect is put in. More would confirm what they begin with, for
+/// pulls that a model has led supply what it lacks.
+const LED: usize = 3;
 
 /// The base model's numbers.
 #[derive(Clone, Serialize, Deserialize)]
