@@ -17,6 +17,8 @@
 //! ```text
 //! F(x) = Σₖ nₖ/2 · log(σₖ² + mean r²) + priors       2 (F − F′) ~ χ² of as many numbers as the effect has
 //! ```
+//!
+//! where F − F′ is what several draws of simulations agree on, for in contact each is chaotic in small.
 
 mod forward;
 mod judge;
