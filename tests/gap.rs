@@ -98,7 +98,7 @@ fn hidden_friction_is_found_named_and_added() {
     // the same seed gives the same report
     let again = search(FRICTION, 1);
     let page = |o: &Outcome| {
-        let diff = figures::diff(&file("").xml, &o.model, "machine.xml");
+        let diff = gap::diff::diff(&file("").xml, &o.model, "machine.xml");
         figures::report("report", o, &diff).html().expect("a page")
     };
     assert_eq!(page(&outcome), page(&again));

@@ -27,10 +27,10 @@ pub struct SuiteConfig {
     pub max_effects: usize,
     /// most windows of a search; by default that of `phantom gap`
     pub most_windows: Option<usize>,
-    /// Hz at which simulations are pulled along the recordings, as by `phantom gap --pull`; by default windows. What a search
-    /// could reach at best is then not looked for.
+    /// Hz at which simulations are pulled along the recordings; by default as `phantom gap` does. What a search could reach at
+    /// best is then not looked for.
     pub pull_hz: Option<f64>,
-    /// s of the search's steps; by default the model's
+    /// s of the search's steps; by default those of `phantom gap`
     pub timestep: Option<f64>,
     /// number of the first machine; by default 0
     #[serde(default)]

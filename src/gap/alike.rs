@@ -127,7 +127,8 @@ fn separation(rival: (&[f64; 2], &[f64]), chosen: (&[f64; 2], &[f64]), left: f64
     each.fold(f64::INFINITY, f64::min)
 }
 
-fn apart(price: f64, chosen: f64) -> f64 {
+/// d² of what costs `price` from what costs `chosen`.
+pub(super) fn apart(price: f64, chosen: f64) -> f64 {
     (2.0 * (price - chosen)).max(0.0)
 }
 
@@ -152,12 +153,8 @@ pub(super) fn rivals(tried: &[Tried<'_>], chosen: usize, cost: f64) -> Vec<Rival
     let others = tried.iter().enumerate().filter(|(i, _)| *i != chosen);
     others
         .filter_map(|(_, t)| {
-            let rival = Rival {
-                name: t.candidate.effect.about().name.to_owned(),
-                place: t.candidate.place.clone(),
-                values: t.fit.chosen.last()?.values.clone(),
-                separation: separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost),
-            };
+            let separation = separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost);
+            let rival = Rival::of(t.fit.chosen.last()?, separation);
             (rival.separation < APART).then_some(rival)
         })
         .collect()

@@ -24,8 +24,8 @@ pub(super) fn band(at: &[(usize, f64)], y: &[f64]) -> Option<[f64; 2]> {
             power.extend(spectrum(&own)?);
         }
     }
-    let slowest =
-        (power.iter().map(|p| p.0)).fold(f64::INFINITY, |a, f| if f > 0.0 { a.min(f) } else { a });
+    let swings = power.iter().map(|p| p.0).filter(|f| *f > 0.0);
+    let slowest = swings.fold(f64::INFINITY, f64::min);
     let bound = |octave: i32| slowest * 2_f64.powi(octave);
     let octave = |f: f64| match f / slowest {
         part if part < 2.0 => 0,

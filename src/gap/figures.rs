@@ -9,16 +9,12 @@ use crate::report::{Chart, Line, Report, Section, Table};
 
 /// Lines of the evidence that are shown.
 const LINES: usize = 25;
-/// Lines of a diff around a change.
-const CONTEXT: usize = 2;
 
 /// What a person has to know, line by line.
 pub fn summary(answer: &Answer) -> Vec<String> {
     let mut out = Vec::new();
     for l in answer.located.iter().take(5) {
-        let band = l.band_hz.map_or(String::new(), |[low, high]| {
-            format!(", mostly at {} to {} Hz", number(low), number(high))
-        });
+        let band = (l.band_hz).map_or(String::new(), |hz| format!(", mostly at {} Hz", range(hz)));
         let most = (l.most_at.as_ref()).map_or(String::new(), |at| format!(", most in {at}"));
         out.push(format!(
             "disagreement: {} ({}): {} {} rms, mean {}{band}{most}",
@@ -136,13 +132,17 @@ fn inputs(all: &[(String, f64)]) -> String {
     most.map_or(String::new(), |(name, _)| name.clone())
 }
 
+fn range([low, high]: [f64; 2]) -> String {
+    format!("{} to {}", number(low), number(high))
+}
+
 /// An effect in a sentence.
 fn sentence(e: &Named) -> String {
     let mut out = format!("{} at {}:", e.name, e.at);
     for v in &e.parameters {
         let _ = write!(out, " {} {}", v.name, number(v.value));
-        if let Some([low, high]) = v.ci95 {
-            let _ = write!(out, " ({} to {})", number(low), number(high));
+        if let Some(ci95) = v.ci95 {
+            let _ = write!(out, " ({})", range(ci95));
         }
         if v.unit != "1" {
             let _ = write!(out, " {}", v.unit);
@@ -203,9 +203,7 @@ fn effects(answer: &Answer) -> Section {
     );
     for e in &answer.effects {
         for v in &e.parameters {
-            let interval = v.ci95.map_or("held".to_owned(), |[a, b]| {
-                format!("{} to {}", number(a), number(b))
-            });
+            let interval = v.ci95.map_or("held".to_owned(), range);
             table.push(vec![
                 e.name.clone(),
                 e.at.clone(),
@@ -263,9 +261,7 @@ fn maps(outcome: &Outcome) -> Section {
             l.unit.clone(),
             format!("{:.1e}", l.p_value),
             l.n.to_string(),
-            l.band_hz.map_or(String::new(), |[low, high]| {
-                format!("{} to {}", number(low), number(high))
-            }),
+            l.band_hz.map(range).unwrap_or_default(),
             l.most_at.clone().unwrap_or_default(),
         ]);
     }
@@ -429,78 +425,4 @@ fn untested(answer: &Answer) -> Section {
         ));
     }
     section
-}
-
-/// The unified difference of two texts of which the second mostly has the lines of the first.
-pub fn diff(old: &str, new: &str, name: &str) -> String {
-    let (a, b): (Vec<&str>, Vec<&str>) = (old.lines().collect(), new.lines().collect());
-    // longest common subsequence: files have hundreds of lines
-    let mut length = vec![vec![0_u32; b.len() + 1]; a.len() + 1];
-    for i in (0..a.len()).rev() {
-        for j in (0..b.len()).rev() {
-            length[i][j] = if a[i] == b[j] {
-                length[i + 1][j + 1] + 1
-            } else {
-                length[i + 1][j].max(length[i][j + 1])
-            };
-        }
-    }
-    let mut lines: Vec<(char, &str, usize, usize)> = Vec::new();
-    let (mut i, mut j) = (0, 0);
-    while i < a.len() || j < b.len() {
-        if i < a.len() && j < b.len() && a[i] == b[j] {
-            lines.push((' ', a[i], i, j));
-            (i, j) = (i + 1, j + 1);
-        } else if i < a.len() && (j == b.len() || length[i + 1][j] >= length[i][j + 1]) {
-            lines.push(('-', a[i], i, j));
-            i += 1;
-        } else {
-            lines.push(('+', b[j], i, j));
-            j += 1;
-        }
-    }
-    let near = |k: usize| {
-        let from = k.saturating_sub(CONTEXT);
-        lines[from..(k + CONTEXT + 1).min(lines.len())]
-            .iter()
-            .any(|l| l.0 != ' ')
-    };
-    let mut out = format!("--- {name}\n+++ model.xml\n");
-    let mut k = 0;
-    while k < lines.len() {
-        if !near(k) {
-            k += 1;
-            continue;
-        }
-        let end = (k..lines.len()).find(|e| !near(*e)).unwrap_or(lines.len());
-        let hunk = &lines[k..end];
-        let count = |sign: char| hunk.iter().filter(|l| l.0 != sign).count();
-        let _ = writeln!(
-            out,
-            "@@ -{},{} +{},{} @@",
-            hunk[0].2 + 1,
-            count('+'),
-            hunk[0].3 + 1,
-            count('-')
-        );
-        for (sign, line, ..) in hunk {
-            let _ = writeln!(out, "{sign}{line}");
-        }
-        k = end;
-    }
-    out
-}
-
-#[cfg(test)]
-mod tests {
-    use super::diff;
-
-    #[test]
-    fn a_diff_shows_what_changed() {
-        let old = "a\nb\nc\nd\ne\nf\ng\n";
-        let new = "a\nb\nc\nX\ne\nf\ng\nh\n";
-        let expected = "--- m\n+++ model.xml\n@@ -2,6 +2,7 @@\n b\n c\n-d\n+X\n e\n f\n g\n+h\n";
-        assert_eq!(diff(old, new, "m"), expected);
-        assert_eq!(diff(old, old, "m"), "--- m\n+++ model.xml\n");
-    }
 }

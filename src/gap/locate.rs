@@ -15,6 +15,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::GapError;
 use super::band::band;
+use super::effect::named;
 use super::result::Located;
 use super::score::two_sided;
 use super::screen::Screen;
@@ -71,13 +72,9 @@ impl Missing {
             .filter(|c| c.effect.about().name == "torque_offset")
             .map(|c| (c.place.name.clone(), c.columns[0]))
             .collect();
-        let driven = |name: &str| {
-            let motors = super::effect::named("torque_ripple").map(|e| e.places(model));
-            let motors = motors.unwrap_or_default();
-            motors.iter().any(|p| p.joint_name(model) == Some(name))
-        };
-        if own.iter().any(|(name, _)| driven(name)) {
-            own.retain(|(name, _)| driven(name));
+        let driven = driven(model);
+        if own.iter().any(|(name, _)| driven.contains(name)) {
+            own.retain(|(name, _)| driven.contains(name));
         }
         let (n, m) = (windows.len(), own.len());
         let mut force = DMatrix::zeros(n, m);
@@ -137,13 +134,9 @@ impl Missing {
                 velocity[(w, j)] = (last[*address] - first[*address]) / span;
                 motor[(w, j)] = data.qfrc_actuator()[*dof];
             }
-            let root = |body: i32| model.body_rootid()[body as usize];
-            let touched: Vec<i32> = (data.contacts().iter())
-                .flat_map(Contact::geoms)
-                .map(|geom| root(model.geom_bodyid()[geom]))
-                .collect();
-            let own = at.iter().map(|(_, dof)| root(model.dof_bodyid()[*dof]));
-            touching.push(own.map(|root| touched.contains(&root)).collect());
+            let geoms = data.contacts().iter().flat_map(Contact::geoms);
+            let dofs = at.iter().map(|(_, dof)| *dof);
+            touching.push(touched(model, geoms, dofs));
         }
         Ok(Self {
             units: own.iter().map(|(name, _)| unit(model, name)).collect(),
@@ -245,6 +238,26 @@ impl Missing {
             most_at: most.map(|&w| self.names[w].clone()),
         }
     }
+}
+
+/// Names of the joints that motors drive.
+pub(super) fn driven(model: &Model) -> Vec<String> {
+    (named("torque_ripple").into_iter())
+        .flat_map(|e| e.places(model))
+        .filter_map(|p| p.joint_name(model).map(str::to_owned))
+        .collect()
+}
+
+/// Whether one of the geoms that touch hangs together with each degree of freedom.
+pub(super) fn touched(
+    model: &Model,
+    geoms: impl Iterator<Item = usize>,
+    dofs: impl Iterator<Item = usize>,
+) -> Vec<bool> {
+    let root = |body: i32| model.body_rootid()[body as usize];
+    let roots: Vec<i32> = geoms.map(|g| root(model.geom_bodyid()[g])).collect();
+    dofs.map(|d| roots.contains(&root(model.dof_bodyid()[d])))
+        .collect()
 }
 
 /// Unit of forces at a joint.

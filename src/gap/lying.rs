@@ -81,10 +81,10 @@ impl<'a> Lying<'a> {
         let apart = Partition::new(self.problem, &BTreeSet::new());
         let together = self.partition(motion)?;
         let model = &*self.problem.model;
-        for dof in 0..model.nv() {
+        for joint in (0..model.njnt()).filter(|j| model.is_free(*j)) {
+            let dof = model.jnt_dofadr()[joint] as usize;
             let own = apart.dofs[dof];
-            let is_free = model.is_free(model.dof_jntid()[dof] as usize);
-            if !is_free || apart.driven.contains(&own) {
+            if apart.driven.contains(&own) {
                 continue;
             }
             let channels: BTreeSet<usize> = (0..apart.channels.len())

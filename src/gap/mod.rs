@@ -16,6 +16,7 @@ mod absorb;
 mod alike;
 mod band;
 mod coarse;
+pub mod diff;
 pub mod effect;
 mod elsewhere;
 mod evidence;

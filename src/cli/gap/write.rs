@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::cli::CliError;
 use crate::gap::effect::ModelFile;
-use crate::gap::{Keeper, Outcome, figures};
+use crate::gap::{Keeper, Outcome, diff, figures};
 use crate::run_dir;
 
 /// Where results go; made before the work begins.
@@ -36,7 +36,7 @@ impl Folder {
         outcome: &Outcome,
     ) -> Result<Written, CliError> {
         let name = base.path.file_name().unwrap_or_default().to_string_lossy();
-        let diff = figures::diff(&base.xml, &outcome.model, &name);
+        let diff = diff::diff(&base.xml, &outcome.model, &name);
         let model = self.path.join("model.xml");
         run_dir::write_atomic(&model, outcome.model.as_bytes())?;
         run_dir::write_atomic(&self.path.join("model.diff"), diff.as_bytes())?;

@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 
 use super::judge::{Judge, Machine, Point};
 use crate::gap::GapError;
-use crate::gap::locate::{Missing, unit};
+use crate::gap::locate::{Missing, driven, touched, unit};
 use crate::gap::score::STRETCHES;
 use crate::gap::windows;
 use crate::mujoco::{Model, ObjectKind};
@@ -24,10 +24,7 @@ struct Told {
 
 /// Joints with motors, then where free bodies are along each axis.
 fn told(model: &Model) -> Vec<Told> {
-    let driven: Vec<String> = (crate::gap::effect::named("torque_ripple").into_iter())
-        .flat_map(|e| e.places(model))
-        .filter_map(|p| p.joint_name(model).map(str::to_owned))
-        .collect();
+    let driven = driven(model);
     let mut out = Vec::new();
     for joint in 0..model.njnt() {
         let Some(name) = model.name(ObjectKind::Joint, joint) else {
@@ -161,7 +158,6 @@ fn cells(problem: &Problem, told: &[Told], pulled: &[Pulled], length_s: f64) -> 
         touching: Vec::with_capacity(n),
         origin: Vec::with_capacity(n),
     };
-    let root = |body: i32| model.body_rootid()[body as usize];
     for (i, trial) in pulled.iter().enumerate() {
         for first in (0..trial.touching.len() / steps).map(|i| i * steps) {
             let w = out.origin.len();
@@ -176,10 +172,8 @@ fn cells(problem: &Problem, told: &[Told], pulled: &[Pulled], length_s: f64) -> 
                 }
             }
             let geoms = trial.touching[first..first + steps].iter().flatten();
-            let touched: Vec<i32> = geoms.map(|&g| root(model.geom_bodyid()[g])).collect();
-            let own = told.iter().map(|t| root(model.dof_bodyid()[t.at.1]));
-            out.touching
-                .push(own.map(|r| touched.contains(&r)).collect());
+            let dofs = told.iter().map(|t| t.at.1);
+            out.touching.push(touched(model, geoms.copied(), dofs));
             let at_s = problem.trials[i].start_s + first as f64 * model.timestep();
             out.origin.push((i, at_s));
         }
