@@ -3,7 +3,7 @@
 use super::judge::{Judge, Point};
 use super::refit::Fitted;
 use super::screen::{Candidate, LEAST_VISIBLE, again, chance};
-use crate::gap::alike::Rival;
+use crate::gap::alike::{Rival, apart};
 use crate::gap::evidence::Evidence;
 use crate::gap::model::Chosen;
 use crate::gap::name::APART;
@@ -84,13 +84,15 @@ pub(super) fn forward(
     names.dedup();
     let n_tests = tests(all) as f64;
     let may = |c: &&Candidate| {
-        let name = c.effect.about().name;
+        let name = c.effect().about().name;
         (names.len() < options.max_effects || names.contains(&name))
             && promises(judge, options, c, n_tests)
     };
     let rivals: Vec<&Candidate> = all.iter().filter(may).take(RIVALS).collect();
-    let points = rivals.iter().map(|c| with(judge, present, c.chosen()));
-    let points: Vec<Point> = points.collect::<Option<_>>().unwrap_or_default();
+    let points = rivals
+        .iter()
+        .filter_map(|c| judge.with(&present.point, c.chosen()));
+    let points = points.collect();
     let fitted = judge.refit_all(points, &present.ensemble.slopes)?;
     watch.go_on()?;
     let mut fitted: Vec<Fitted> = fitted.into_iter().flatten().collect();
@@ -122,13 +124,11 @@ pub(super) fn forward(
                 continue;
             }
         }
-        let alike = (fitted.iter().enumerate())
-            .filter(|(j, other)| *j != i && 2.0 * (other.cost - own.cost) < APART)
-            .filter_map(|(_, other)| {
-                let chosen = other.chosen().last()?.clone();
-                let separation = (2.0 * (other.cost - own.cost)).max(0.0);
-                Some(Rival::of(&chosen, separation))
-            });
+        let others = (fitted.iter().enumerate()).filter(|(j, _)| *j != i);
+        let alike = others
+            .map(|(_, other)| (other, apart(other.cost, own.cost)))
+            .filter(|(_, separation)| *separation < APART)
+            .filter_map(|(other, separation)| Some(Rival::of(other.chosen().last()?, separation)));
         let evidence = Evidence {
             p_value,
             gain: part(fall, judge.worth()),
@@ -141,25 +141,11 @@ pub(super) fn forward(
     Ok(None)
 }
 
-/// The present point with one more effect.
-fn with(judge: &Judge<'_>, present: &Fitted, chosen: Chosen) -> Option<Point> {
-    let mut written = present.point.written.clone();
-    written.push(chosen);
-    let machine = judge.build(&written)?;
-    let mut x = machine.problem.parameters.start();
-    x[..present.point.x.len()].copy_from_slice(&present.point.x);
-    Some(Point { written, x })
-}
-
 /// The present model without effect `i`, fitted.
 ///
 /// # Errors
 /// The engine fails.
-pub(super) fn without(
-    judge: &Judge<'_>,
-    present: &Fitted,
-    i: usize,
-) -> Result<Option<Fitted>, GapError> {
+fn without(judge: &Judge<'_>, present: &Fitted, i: usize) -> Result<Option<Fitted>, GapError> {
     let free = present.machine.built.free(&present.machine.problem);
     let gone: Vec<usize> = free.iter().filter(|f| f.1 == i).map(|f| f.0).collect();
     let mut written = present.point.written.clone();
@@ -168,31 +154,37 @@ pub(super) fn without(
     let order: Vec<usize> = (0..present.point.x.len()).filter(stays).collect();
     let x = order.iter().map(|&j| present.point.x[j]).collect();
     let known = present.ensemble.slopes.only(&order);
-    judge.refit(Point { written, x }, &known)
+    match judge.build(&written) {
+        Some(machine) => judge.refit((machine, Point { written, x }), &known),
+        None => Ok(None),
+    }
 }
 
-/// Index of an effect that is no longer needed, if there is one.
+/// Index of an effect that is no longer needed, if there is one, and the model without it.
 ///
 /// # Errors
 /// The engine fails.
-pub(super) fn needless(judge: &Judge<'_>, present: &Fitted) -> Result<Option<usize>, GapError> {
+pub(super) fn needless(
+    judge: &Judge<'_>,
+    present: &Fitted,
+) -> Result<Option<(usize, Fitted)>, GapError> {
     let n = present.point.written.len();
     if n < 2 {
         return Ok(None);
     }
     let with = judge.costs(present)?;
-    let mut worst: Option<(f64, usize)> = None;
+    let mut worst: Option<(f64, usize, Fitted)> = None;
     for i in 0..n {
         let Some(fitted) = without(judge, present, i)? else {
             continue;
         };
         let fall = surely(&judge.costs(&fitted)?, &with);
         let p = chance(fall, numbers(present.point.written[i].effect));
-        if p > LEAVES && worst.is_none_or(|w| p > w.0) {
-            worst = Some((p, i));
+        if p > LEAVES && worst.as_ref().is_none_or(|w| p > w.0) {
+            worst = Some((p, i, fitted));
         }
     }
-    Ok(worst.map(|w| w.1))
+    Ok(worst.map(|(_, i, fitted)| (i, fitted)))
 }
 
 /// What the model of `fitted` would have recorded, screened again by the columns of `screened`: what is found twice, in two
@@ -215,7 +207,7 @@ pub(super) fn round_trip(
         let n_tests = tests(&all) as f64;
         let found = all.iter().filter(|c| promises(judge, options, c, n_tests));
         found
-            .map(|c| format!("{} at {}", c.effect.about().name, c.place))
+            .map(|c| format!("{} at {}", c.effect().about().name, c.place()))
             .collect()
     });
     let mut found = each.next().unwrap_or_default();

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::refit::Fitted;
 use crate::gap::GapError;
@@ -142,6 +142,16 @@ impl<'a> Judge<'a> {
         Some(Machine { built, problem })
     }
 
+    /// The model and the numbers of `present` with one more effect; nothing where that cannot be said.
+    pub(super) fn with(&self, present: &Point, chosen: Chosen) -> Option<(Machine, Point)> {
+        let mut written = present.written.clone();
+        written.push(chosen);
+        let machine = self.build(&written)?;
+        let mut x = machine.problem.parameters.start();
+        x[..present.x.len()].copy_from_slice(&present.x);
+        Some((machine, Point { written, x }))
+    }
+
     /// Spreads of all numbers of a model: those of effects from their values.
     pub(super) fn spreads(&self, machine: &Machine, point: &Point) -> Vec<f64> {
         let values = (machine.built).values(&machine.problem, &point.x, &point.written);
@@ -255,9 +265,9 @@ impl<'a> Judge<'a> {
 
     /// The change of all numbers that `mean` deviations ask for at `fitted`.
     pub(super) fn back(&self, fitted: &Fitted, mean: &DVector<f64>) -> Option<DVector<f64>> {
-        let (normal, _) = fitted.normal(self);
-        let weights = self.course.weights(fitted.ensemble.mean.as_slice());
-        let slopes = fitted.ensemble.whitened(&weights);
+        let normal = fitted.quadratic(self).normal;
+        let weights = fitted.weights(self);
+        let slopes = fitted.ensemble.slopes.whitened(&weights);
         let right = slopes.tr_mul(&mean.component_mul(&weights));
         Some(-normal.cholesky()?.solve(&right))
     }
@@ -276,13 +286,4 @@ impl<'a> Judge<'a> {
     pub(super) fn verifying(&self) -> &Course<'a> {
         self.held.as_ref().unwrap_or(&self.course)
     }
-}
-
-/// Deviations and slopes, each bin times its weight.
-pub(super) fn whitened(ensemble: &Ensemble, course: &Course<'_>) -> (DVector<f64>, DMatrix<f64>) {
-    let weights = course.weights(ensemble.mean.as_slice());
-    (
-        ensemble.mean.component_mul(&weights),
-        ensemble.whitened(&weights),
-    )
 }

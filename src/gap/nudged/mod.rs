@@ -167,9 +167,8 @@ pub(super) fn resume(
             kept.push(evidence);
             let mut next;
             (next, tries) = settled(&mut judge, fitted)?;
-            while let Some(i) = forward::needless(&judge, &next)? {
+            while let Some((i, fitted)) = forward::needless(&judge, &next)? {
                 kept.remove(i);
-                let fitted = forward::without(&judge, &next, i)?.ok_or_else(broken)?;
                 (next, tries) = settled(&mut judge, fitted)?;
             }
             found = Some(next);
@@ -330,8 +329,8 @@ fn held(judge: &Judge<'_>, at: &Fitted, length_s: f64) -> Result<Option<f64>, Ga
 
 fn tested(judge: &Judge<'_>, c: &Candidate) -> Tested {
     Tested {
-        name: c.effect.about().name.to_owned(),
-        at: c.place.to_string(),
+        name: c.effect().about().name.to_owned(),
+        at: c.place().to_string(),
         expected: c.values.clone(),
         gain: forward::part(c.gain, judge.worth()),
         p_value: c.p_value,
@@ -344,7 +343,7 @@ fn untestable(all: &[Candidate]) -> Vec<Untestable> {
     let mut out = Vec::new();
     for c in all.iter().filter(|c| c.visible < LEAST_VISIBLE) {
         let reason = "the fitted parameters explain nearly all of it";
-        list(&mut out, c.effect, &c.place, reason);
+        list(&mut out, c.effect(), c.place(), reason);
     }
     out
 }

@@ -37,12 +37,8 @@ pub(super) fn name(
     let n = present.point.x.len();
     let mut all: Vec<Vec<f64>> = Vec::new();
     for draw in 0..AGAIN {
-        let machine = judge
-            .build(&present.point.written)
-            .ok_or_else(super::broken)?;
         let known = (&present.ensemble.slopes, draw);
-        let seen = judge.look(&machine, &present.point, known)?;
-        let seen = judge.fitted(machine, present.point.clone(), seen);
+        let seen = judge.at(present.point.clone(), known)?;
         all.push(judge.step(&seen));
     }
     let mean = |j: usize| all.iter().map(|x| x[j]).sum::<f64>() / AGAIN as f64;
@@ -51,15 +47,11 @@ pub(super) fn name(
     let scatter =
         |j: usize| all.iter().map(|own| (own[j] - x[j]).powi(2)).sum::<f64>() / all.len() as f64;
     let scatter: Vec<f64> = (0..n).map(scatter).collect();
-    let machine = judge
-        .build(&present.point.written)
-        .ok_or_else(super::broken)?;
     let point = Point {
         written: present.point.written.clone(),
         x,
     };
-    let seen = judge.look(&machine, &point, (&present.ensemble.slopes, 0))?;
-    let fitted = judge.fitted(machine, point, seen);
+    let fitted = judge.at(point, (&present.ensemble.slopes, 0))?;
     let covariance = fitted.covariance(judge);
     let free = fitted.machine.built.free(&fitted.machine.problem);
     let mut effects = Vec::new();

@@ -3,12 +3,11 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::judge::{Judge, Machine, Point, whitened};
+use super::judge::{Judge, Machine, Point};
 use crate::gap::GapError;
 use crate::gap::model::Chosen;
-use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::interval::Posterior;
-use crate::sysid::nudging::{Ensemble, Slopes};
+use crate::sysid::nudging::{Ensemble, Quadratic, Slopes};
 
 /// Steps.
 const STEPS: usize = 4;
@@ -33,17 +32,20 @@ impl Fitted {
         (machine.built).values(&machine.problem, &point.x, &point.written)
     }
 
-    /// The normal matrix of all numbers with their priors, and the gradient.
-    pub(super) fn normal(&self, judge: &Judge<'_>) -> (DMatrix<f64>, DVector<f64>) {
-        let (r, slopes) = whitened(&self.ensemble, &judge.course);
-        let mut normal: DMatrix<f64> = slopes.tr_mul(&slopes);
-        let mut gradient: DVector<f64> = slopes.tr_mul(&r);
+    /// What whitens each bin of its deviations.
+    pub(super) fn weights(&self, judge: &Judge<'_>) -> DVector<f64> {
+        judge.course.weights(self.ensemble.mean.as_slice())
+    }
+
+    /// The problem of all its numbers, linearised.
+    pub(super) fn quadratic(&self, judge: &Judge<'_>) -> Quadratic {
         let parameters = &self.machine.problem.parameters;
-        for (i, (precision, slope)) in parameters.prior_slopes(&self.point.x).enumerate() {
-            normal[(i, i)] += precision;
-            gradient[i] += slope;
-        }
-        (normal, gradient)
+        Quadratic::new(
+            &self.ensemble,
+            &self.weights(judge),
+            parameters,
+            &self.point.x,
+        )
     }
 
     /// Covariance of all numbers, by how deviations are correlated over time.
@@ -63,10 +65,11 @@ impl Judge<'_> {
     ///
     /// # Errors
     /// The engine fails.
-    pub(super) fn refit(&self, start: Point, known: &Slopes) -> Result<Option<Fitted>, GapError> {
-        let Some(machine) = self.build(&start.written) else {
-            return Ok(None);
-        };
+    pub(super) fn refit(
+        &self,
+        (machine, start): (Machine, Point),
+        known: &Slopes,
+    ) -> Result<Option<Fitted>, GapError> {
         let slopes = known.widened(start.x.len());
         let Some(mut best) = self.seen(machine, start, &slopes)? else {
             return Ok(None);
@@ -103,6 +106,16 @@ impl Judge<'_> {
         Ok(Some(self.fitted(machine, point, ensemble)))
     }
 
+    /// A point with what is seen there in a draw of simulations, slopes of the first numbers as known.
+    ///
+    /// # Errors
+    /// The model cannot be said; simulations diverge.
+    pub(super) fn at(&self, point: Point, known: (&Slopes, usize)) -> Result<Fitted, GapError> {
+        let machine = self.build(&point.written).ok_or_else(super::broken)?;
+        let ensemble = self.look(&machine, &point, known)?;
+        Ok(self.fitted(machine, point, ensemble))
+    }
+
     /// A point with what was seen there.
     pub(super) fn fitted(&self, machine: Machine, point: Point, ensemble: Ensemble) -> Fitted {
         let cost = self.course.misfit(ensemble.mean.as_slice());
@@ -131,13 +144,9 @@ impl Judge<'_> {
 
     /// Where the linearised problem has its least cost.
     pub(super) fn step(&self, from: &Fitted) -> Vec<f64> {
-        let (normal, gradient) = from.normal(self);
         let spreads = self.spreads(&from.machine, &from.point);
         let parameters = &from.machine.problem.parameters;
-        let (low, high): (Vec<f64>, Vec<f64>) = (parameters.reach(&from.point.x).zip(&spreads))
-            .map(|((low, high), s)| (low.max(-FAR * s), high.min(FAR * s)))
-            .unzip();
-        let dx = solve_in_box(&normal, &(-gradient), &low, &high);
+        let dx = (from.quadratic(self)).step(parameters, &from.point.x, (&spreads, FAR));
         (from.point.x.iter().zip(&dx)).map(|(x, d)| x + d).collect()
     }
 
@@ -147,7 +156,7 @@ impl Judge<'_> {
     /// The engine fails.
     pub(super) fn refit_all(
         &self,
-        points: Vec<Point>,
+        points: Vec<(Machine, Point)>,
         known: &Slopes,
     ) -> Result<Vec<Option<Fitted>>, GapError> {
         let all: Vec<_> = (points.into_par_iter())

@@ -7,11 +7,13 @@
 //! c⊥ = c − B (BᵀWB + P)⁻¹ BᵀWc        expected size = −c⊥ᵀWr / cᵀWc⊥        gain = F(r) − F(r + size · c⊥)
 //! ```
 
+use std::sync::Arc;
+
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::judge::{Judge, Point, whitened};
+use super::judge::Judge;
 use super::refit::Fitted;
 use crate::gap::effect::{self, Effect, Place, Role};
 use crate::gap::model::{Chosen, Variant, variants};
@@ -34,14 +36,12 @@ const WEIGHINGS: usize = 3;
 
 /// An effect at a place with what it would do.
 pub(super) struct Candidate {
-    pub effect: &'static dyn Effect,
-    pub place: Place,
+    /// as it was looked at
+    asked: Asked,
+    /// what each of its sizes does to all bins, over the size
+    columns: Arc<[DVector<f64>]>,
     /// expected values
     pub values: Vec<f64>,
-    /// as it was looked at
-    variant: Variant,
-    /// what each of its sizes does to all bins, over the size
-    pub columns: Vec<DVector<f64>>,
     /// expected fall of the cost
     pub gain: f64,
     /// that by chance, alone
@@ -54,11 +54,15 @@ pub(super) struct Candidate {
 
 impl Candidate {
     pub(super) fn chosen(&self) -> Chosen {
-        Chosen {
-            effect: self.effect,
-            place: self.place.clone(),
-            values: self.values.clone(),
-        }
+        self.asked.with(self.values.clone())
+    }
+
+    pub(super) fn effect(&self) -> &'static dyn Effect {
+        self.asked.effect
+    }
+
+    pub(super) fn place(&self) -> &Place {
+        &self.asked.place
     }
 }
 
@@ -87,8 +91,8 @@ struct Expected {
 
 impl<'j> Follow<'j> {
     fn new(judge: &'j Judge<'j>, present: &'j Fitted, mean: &'j DVector<f64>) -> Option<Self> {
-        let (normal, _) = present.normal(judge);
-        let (_, slopes) = whitened(&present.ensemble, &judge.course);
+        let normal = present.quadratic(judge).normal;
+        let slopes = present.ensemble.slopes.whitened(&present.weights(judge));
         let weights = judge.course.weights(mean.as_slice());
         Some(Self {
             r: mean.component_mul(&weights),
@@ -177,10 +181,10 @@ pub(super) fn beside(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<Candidate>, GapError> {
     watch.stage(Stage::Screen);
-    let is = |c: &Candidate, w: &Chosen| {
-        w.effect.about().name == c.effect.about().name && w.place == c.place
+    let taken = |c: &Candidate| {
+        let mut written = present.point.written.iter();
+        written.any(|w| c.asked.is(w.effect, &w.place))
     };
-    let taken = |c: &Candidate| present.point.written.iter().any(|w| is(c, w));
     let left: Vec<&Candidate> = known.iter().filter(|c| !taken(c)).collect();
     let all = again(judge, present, &present.ensemble.mean, &left);
     best_again(judge, present, all, watch)
@@ -197,8 +201,7 @@ fn best_again(
     let asked: Vec<Asked> = (all.drain(..n))
         .map(|c| Asked {
             variant: as_expected(judge, &c),
-            effect: c.effect,
-            place: c.place,
+            ..c.asked
         })
         .collect();
     let looked = columns(judge, present, &asked, FINE, watch)?;
@@ -215,8 +218,22 @@ struct Asked {
     variant: Variant,
 }
 
+impl Asked {
+    fn is(&self, effect: &dyn Effect, place: &Place) -> bool {
+        self.effect.about().name == effect.about().name && self.place == *place
+    }
+
+    fn with(&self, values: Vec<f64>) -> Chosen {
+        Chosen {
+            effect: self.effect,
+            place: self.place.clone(),
+            values,
+        }
+    }
+}
+
 /// With its columns.
-type Looked = (Asked, Vec<DVector<f64>>);
+type Looked = (Asked, Arc<[DVector<f64>]>);
 
 /// All variants of all candidates, of long grids a few.
 fn asked(judge: &Judge<'_>, only: &[String]) -> Vec<Asked> {
@@ -245,9 +262,9 @@ fn asked(judge: &Judge<'_>, only: &[String]) -> Vec<Asked> {
 
 /// The variant of a candidate, each size as it is expected if that makes sense.
 fn as_expected(judge: &Judge<'_>, c: &Candidate) -> Variant {
-    let parameters = c.effect.about().parameters;
-    let scales = judge.measured.scales(&judge.base.model, &c.place);
-    let mut variant = c.variant.clone();
+    let parameters = c.effect().about().parameters;
+    let scales = judge.measured.scales(&judge.base.model, c.place());
+    let mut variant = c.asked.variant.clone();
     for (&p, (size, values)) in variant.parameters.iter().zip(&mut variant.columns) {
         let (parameter, expected) = (&parameters[p], c.values[p]);
         if parameter.is_whole() || expected == 0.0 || !parameter.makes_sense(expected, &scales) {
@@ -266,14 +283,7 @@ pub(super) fn again(
     mean: &DVector<f64>,
     screened: &[&Candidate],
 ) -> Vec<Candidate> {
-    let looked = screened.iter().map(|c| {
-        let asked = Asked {
-            effect: c.effect,
-            place: c.place.clone(),
-            variant: c.variant.clone(),
-        };
-        (asked, c.columns.clone())
-    });
+    let looked = (screened.iter()).map(|c| (c.asked.clone(), Arc::clone(&c.columns)));
     rate(judge, present, mean, looked.collect())
 }
 
@@ -291,13 +301,9 @@ fn rate(
         let Some(expected) = follow.expected(&columns) else {
             continue;
         };
-        let Asked {
-            effect,
-            place,
-            variant,
-        } = asked;
-        let parameters = effect.about().parameters;
-        let scales = judge.measured.scales(&judge.base.model, &place);
+        let (about, variant) = (asked.effect.about(), &asked.variant);
+        let parameters = about.parameters;
+        let scales = judge.measured.scales(&judge.base.model, &asked.place);
         let mut values = variant.columns[0].1.clone();
         for ((&i, (_, own)), size) in
             (variant.parameters.iter().zip(&variant.columns)).zip(&expected.sizes)
@@ -310,19 +316,15 @@ fn rate(
         }
         let candidate = Candidate {
             sensible: variant.makes_sense(parameters, &expected.sizes, &scales),
-            p_value: chance(expected.gain, columns.len()) * effect.about().shapes() as f64,
+            p_value: chance(expected.gain, columns.len()) * about.shapes() as f64,
             gain: expected.gain,
             visible: expected.visible,
-            effect,
-            place,
+            asked,
             values,
-            variant,
             columns,
         };
         let rank = |c: &Candidate| (c.sensible, c.gain);
-        let same = (best.iter_mut()).find(|b| {
-            b.effect.about().name == candidate.effect.about().name && b.place == candidate.place
-        });
+        let same = (best.iter_mut()).find(|b| b.asked.is(candidate.effect(), candidate.place()));
         match same {
             Some(known) if rank(known) >= rank(&candidate) => {}
             Some(known) => *known = candidate,
@@ -361,12 +363,7 @@ fn columns(
             .map(|own| {
                 let variant = &own.variant;
                 let each = variant.columns.iter().map(|(size, values)| {
-                    let chosen = Chosen {
-                        effect: own.effect,
-                        place: own.place.clone(),
-                        values: values.clone(),
-                    };
-                    column(judge, present, chosen, *size, simulations)
+                    column(judge, present, own.with(values.clone()), *size, simulations)
                 });
                 Some((own.clone(), each.collect::<Option<_>>()?))
             })
@@ -383,16 +380,10 @@ fn column(
     size: f64,
     simulations: usize,
 ) -> Option<DVector<f64>> {
-    let n = present.point.x.len();
-    let mut written = present.point.written.clone();
-    written.push(chosen);
-    let machine = judge.build(&written)?;
-    let mut x = machine.problem.parameters.start();
-    x[..n].copy_from_slice(&present.point.x);
-    let course = judge.course.beside(&machine.problem, &x);
-    let point = Point { written, x };
+    let (machine, point) = judge.with(&present.point, chosen)?;
+    let course = judge.course.beside(&machine.problem, &point.x);
     let mut spreads = judge.spreads(&machine, &point);
-    spreads[n..].fill(0.0);
+    spreads[present.point.x.len()..].fill(0.0);
     let known = present.ensemble.slopes.widened(point.x.len());
     let seen = Ensemble::still(&course, &point.x, &spreads, &known, simulations).ok()?;
     Some((seen.mean - &present.ensemble.mean) / size)

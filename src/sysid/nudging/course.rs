@@ -177,24 +177,20 @@ impl<'a> Course<'a> {
     /// Whitened slopes (bins × parameters), without what chaos adds to their squares, and deviations in the order of time.
     pub(crate) fn innovations(&self, mean: &DVector<f64>, slopes: &Slopes) -> Innovations {
         let weights = self.weights(mean.as_slice());
-        let chaos = &slopes.chaos;
-        let mut slopes = slopes.by.clone();
-        for mut column in slopes.column_iter_mut() {
-            column.component_mul_assign(&weights);
-        }
-        if let Some(by) = purging(&slopes.tr_mul(&slopes), chaos) {
-            slopes *= by;
+        let mut rows = slopes.whitened(&weights);
+        if let Some(by) = purging(&rows.tr_mul(&rows), &slopes.chaos) {
+            rows *= by;
         }
         let mut order: Vec<usize> = (0..mean.len()).collect();
         let place = |i: &usize| self.bins.all[*i].place;
         order.sort_by_key(place);
         let mut innovations = Innovations {
-            n_parameters: slopes.ncols(),
+            n_parameters: rows.ncols(),
             places: order.iter().map(place).collect(),
             ..Innovations::default()
         };
         for i in order {
-            innovations.rows.extend(slopes.row(i).iter());
+            innovations.rows.extend(rows.row(i).iter());
             innovations.rows.push(-mean[i] * weights[i]);
         }
         innovations

@@ -54,6 +54,15 @@ impl Slopes {
             chaos: self.chaos.select_rows(parameters),
         }
     }
+
+    /// Each bin times its weight.
+    pub(crate) fn whitened(&self, weights: &DVector<f64>) -> DMatrix<f64> {
+        let mut whitened = self.by.clone();
+        for mut column in whitened.column_iter_mut() {
+            column.component_mul_assign(weights);
+        }
+        whitened
+    }
 }
 
 /// The problem linearised.
@@ -192,15 +201,6 @@ impl Ensemble {
             rough,
             n,
         })
-    }
-
-    /// Slopes, each bin times its weight.
-    pub(crate) fn whitened(&self, weights: &DVector<f64>) -> DMatrix<f64> {
-        let mut slopes = self.slopes.by.clone();
-        for mut column in slopes.column_iter_mut() {
-            column.component_mul_assign(weights);
-        }
-        slopes
     }
 }
 

@@ -40,6 +40,7 @@ mod ensemble;
 mod pull;
 mod pulled;
 mod search;
+mod step;
 mod told;
 
 use super::fit::{Fit, Iteration, Start, Status};
@@ -50,6 +51,7 @@ pub(crate) use course::Course;
 pub(crate) use ensemble::{Ensemble, Slopes, trembling};
 pub(crate) use pulled::Pulled;
 use search::Search;
+pub(crate) use step::Quadratic;
 
 /// Settings of the method.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,12 +1,12 @@
 //! Gauss-Newton over ensembles that become narrower.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::broken;
 use super::course::{Course, Here};
 use super::ensemble::{Ensemble, Slopes};
+use super::step::Quadratic;
 use crate::sysid::SysidError;
-use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::fit::{Fit, Innovations, Iteration, Status};
 use crate::sysid::parameter::Parameter;
 use crate::sysid::problem::Problem;
@@ -109,18 +109,9 @@ impl<'a> Search<'a> {
     fn step(&self, ensemble: &Ensemble) -> (Vec<f64>, Vec<f64>) {
         let parameters = &self.course.problem.parameters;
         let weights = self.course.weights(ensemble.mean.as_slice());
-        let slopes = ensemble.whitened(&weights);
-        let mut normal: DMatrix<f64> = slopes.tr_mul(&slopes);
-        let mut right: DVector<f64> = -slopes.tr_mul(&ensemble.mean.component_mul(&weights));
-        for (i, (precision, slope)) in parameters.prior_slopes(&self.x).enumerate() {
-            normal[(i, i)] += precision;
-            right[i] -= slope;
-        }
-        let (low, high): (Vec<f64>, Vec<f64>) = (parameters.reach(&self.x).zip(&self.spreads))
-            .map(|((low, high), s)| (low.max(-FAR * s), high.min(FAR * s)))
-            .unzip();
-        let dx = solve_in_box(&normal, &right, &low, &high);
-        let sigma = match normal.cholesky() {
+        let here = Quadratic::new(ensemble, &weights, parameters, &self.x);
+        let dx = here.step(parameters, &self.x, (&self.spreads, FAR));
+        let sigma = match here.normal.cholesky() {
             Some(factor) => (factor.inverse().diagonal().iter())
                 .map(|v| v.sqrt())
                 .collect(),
