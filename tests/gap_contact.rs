@@ -8,7 +8,7 @@ use common::driven::channel;
 use phantom::compare::Settings;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::{Returned, Verdict};
-use phantom::gap::{self, GapError, Input, Options, Outcome};
+use phantom::gap::{self, Input, Kept, Options};
 use phantom::mujoco::{Data, Model};
 use phantom::recording::{Kind, Meta, Recording, Stream};
 use phantom::rng::{self, Purpose};
@@ -74,30 +74,54 @@ fn record(rail: &str, seed: u64) -> (String, Recording) {
     (format!("push {seed}"), recording)
 }
 
-fn search(rail: &str, hz: f64, timestep_s: Option<f64>) -> Result<Outcome, GapError> {
-    let model = ModelFile::of_text(xml("", 0.05 - OFF_M, -4000.0), "pusher.xml").expect("loads");
-    let config: ProblemConfig = toml::from_str(
-        "command = \"held\"\n[[parameter]]\nelement = \"body/block\"\nattribute = \"pos\"\ncomponents = [0]\nprior_sigma = 0.003\n",
-    )
-    .expect("a configuration");
-    let input = Input {
-        model: &model,
-        config: &config,
-        train: &[record(rail, 1), record(rail, 2)],
-        holdout: &[record(rail, 3)],
-        protocol: &Settings::default(),
-    };
-    let options = Options {
+/// Recordings of a machine, and what is known of it.
+struct Bench {
+    model: ModelFile,
+    config: ProblemConfig,
+    train: Vec<(String, Recording)>,
+    holdout: Vec<(String, Recording)>,
+    protocol: Settings,
+}
+
+impl Bench {
+    fn of(rail: &str) -> Self {
+        Self {
+            model: ModelFile::of_text(xml("", 0.05 - OFF_M, -4000.0), "pusher.xml").expect("loads"),
+            config: toml::from_str(
+                "command = \"held\"\n[[parameter]]\nelement = \"body/block\"\nattribute = \"pos\"\n\
+                 components = [0]\nprior_sigma = 0.003\n",
+            )
+            .expect("a configuration"),
+            train: vec![record(rail, 1), record(rail, 2)],
+            holdout: vec![record(rail, 3)],
+            protocol: Settings::default(),
+        }
+    }
+
+    fn input(&self) -> Input<'_> {
+        Input {
+            model: &self.model,
+            config: &self.config,
+            train: &self.train,
+            holdout: &self.holdout,
+            protocol: &self.protocol,
+        }
+    }
+}
+
+fn pulled(hz: f64) -> Options {
+    Options {
         pull_hz: Some(hz),
-        timestep_s,
         ..Options::default()
-    };
-    gap::run(&input, &options, &mut |_, _, _| true)
+    }
 }
 
 #[test]
 fn friction_under_a_pushed_block_is_named() {
-    let outcome = search(FRICTION, 5.0, None).expect("searched");
+    let bench = Bench::of(FRICTION);
+    let mut kept = Kept::default();
+    let outcome = gap::resume(&bench.input(), &pulled(5.0), &mut kept, &mut |_, _, _| true);
+    let outcome = outcome.expect("searched");
     let answer = &outcome.answer;
     let names: Vec<(&str, &str)> = (answer.effects.iter())
         .map(|e| (e.name.as_str(), e.at.as_str()))
@@ -107,11 +131,31 @@ fn friction_under_a_pushed_block_is_named() {
     let [low, high] = level.ci95.expect("an interval");
     assert!((level.value / 0.5 - 1.0).abs() < 0.05, "{level:?}");
     assert!(low < 0.5 && 0.5 < high, "{level:?}");
-    // missing where the block is, against its motion
+    // as much of what is missing is gone as by the effect itself, which leaves little
+    let found = answer.gap.holdout.as_ref().expect("held out");
+    assert!(found.after < 0.5 * found.before, "{found:?}");
+    let mut given = |name: &str, at: &str| {
+        let effect = [(name.to_owned(), at.to_owned())];
+        gap::with_effects(
+            &bench.input(),
+            &pulled(5.0),
+            &effect,
+            &mut kept,
+            &mut |_, _, _| true,
+        )
+    };
+    let oracle = given("coulomb_friction", "b")
+        .expect("fitted")
+        .expect("acts");
+    let least = oracle.gap.holdout.expect("held out");
+    assert_eq!(least.before, found.before, "fitted once");
+    let closed = (found.before - found.after) / (found.before - least.after);
+    assert!((closed - 1.0).abs() < 0.05, "{closed}");
+    assert!(oracle.detectability > 10.0, "{}", oracle.detectability);
     assert!(
-        (answer.gap.holdout.as_ref()).is_some_and(|h| h.after < 0.5 * h.before),
-        "{:?}",
-        answer.gap.holdout
+        given("coulomb_friction", "nowhere")
+            .expect("looked for")
+            .is_none()
     );
     let again = answer.round_trip.as_ref().expect("a round trip");
     assert!(again.found.is_empty(), "{again:?}");
@@ -122,7 +166,12 @@ fn friction_under_a_pushed_block_is_named() {
 
 #[test]
 fn of_a_machine_like_its_model_nothing_is_found() {
-    let outcome = search("", 5.0, Some(0.001)).expect("searched");
+    let options = Options {
+        timestep_s: Some(0.001),
+        ..pulled(5.0)
+    };
+    let outcome = gap::run(&Bench::of("").input(), &options, &mut |_, _, _| true);
+    let outcome = outcome.expect("searched");
     assert_eq!(
         outcome.answer.verdict,
         Verdict::None,
@@ -136,6 +185,7 @@ fn of_a_machine_like_its_model_nothing_is_found() {
 
 #[test]
 fn a_pull_that_steps_cannot_follow_is_refused() {
-    let error = search("", 400.0, None).expect_err("refused");
+    let outcome = gap::run(&Bench::of("").input(), &pulled(400.0), &mut |_, _, _| true);
+    let error = outcome.expect_err("refused");
     assert!(error.to_string().contains("pull"), "{error}");
 }

@@ -134,17 +134,18 @@ impl Suite {
             ..defaults
         };
         let begin = Instant::now();
-        let answer = gap::run(&input, &options, &mut *report)?.answer;
+        let mut kept = gap::Kept::default();
+        let answer = gap::resume(&input, &options, &mut kept, &mut *report)?.answer;
         let seconds = begin.elapsed().as_secs_f64();
         // the seal is broken here
         let truth = rig.truth();
         let given: Vec<(String, String)> = (score::hidden(truth).into_iter())
             .map(|at| (at.name, at.place))
             .collect();
-        let by_windows = options.pull_hz.is_none();
-        let oracle = match (given.is_empty(), holdout.is_empty()) {
-            (false, false) if by_windows => gap::with_effects(&input, &options, &given, report)?,
-            _ => None,
+        let oracle = if given.is_empty() || holdout.is_empty() {
+            None
+        } else {
+            gap::with_effects(&input, &options, &given, &mut kept, report)?
         };
         let scored = score::score(&self.config, case, truth, &answer, oracle.as_ref());
         Ok(Scored { seconds, ..scored })

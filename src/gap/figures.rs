@@ -226,8 +226,8 @@ fn maps(outcome: &Outcome) -> Section {
     let answer = &outcome.answer;
     let what = if outcome.missing[0].is_some() {
         format!(
-            "Force at each joint that brings the fitted model onto the recording, constant over windows of {} s ({} windows).",
-            answer.window_s, answer.n_windows
+            "Force at each joint that brings the fitted model onto the recording, one number for each of {} stretches of {} s.",
+            answer.n_windows, answer.window_s
         )
     } else {
         format!(
@@ -305,8 +305,8 @@ fn over_time(before: &MissingSeries, after: &MissingSeries, j: usize) -> Chart {
     let mut late = after.force[j].clone();
     late.resize(x.len(), f64::NAN);
     Chart::new(
-        &format!("{}: missing force, window by window", before.joints[j]),
-        "window",
+        &format!("{}: missing force over time", before.joints[j]),
+        "stretch",
         &format!("force ({})", before.units[j]),
         x,
     )

@@ -3,8 +3,8 @@
 use super::result::Gap;
 use super::run::{self, Input, Options};
 use super::search::ITERATIONS;
-use super::verify;
-use super::{GapError, Report, Watch, repair};
+use super::stages::Keeper;
+use super::{GapError, Report, Watch, nudged, repair, verify};
 
 /// What a search could reach at best.
 #[derive(Debug, Clone)]
@@ -17,7 +17,8 @@ pub struct Oracle {
     pub detectability: f64,
 }
 
-/// `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen.
+/// `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen. What `keeper` has
+/// of a search with the same input is not done again.
 ///
 /// # Errors
 /// As [`run::run`].
@@ -25,12 +26,31 @@ pub fn with_effects(
     input: &Input<'_>,
     options: &Options,
     effects: &[(String, String)],
+    keeper: &mut dyn Keeper,
     report: Report<'_>,
 ) -> Result<Option<Oracle>, GapError> {
     let mut watch = Watch::new(report);
-    let (whole, mut search) = run::begin(input, options, &mut super::stages::Nowhere, &mut watch)?;
+    let (hz, paced) = run::way(input, options)?;
+    let input = &Input {
+        model: paced.as_ref().unwrap_or(input.model),
+        ..*input
+    };
+    match hz {
+        Some(hz) => nudged::with_effects(input, hz, effects, keeper, &mut watch),
+        None => in_windows(input, options, effects, keeper, &mut watch),
+    }
+}
+
+fn in_windows(
+    input: &Input<'_>,
+    options: &Options,
+    effects: &[(String, String)],
+    keeper: &mut dyn Keeper,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Oracle>, GapError> {
+    let (whole, mut search) = run::begin(input, options, keeper, watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
-    let screen = search.screen(&mut watch)?.ok_or(GapError::Stopped)?;
+    let screen = search.screen(watch)?.ok_or(GapError::Stopped)?;
     let mut chosen = Vec::new();
     for (name, place) in effects {
         let found = screen.candidates.iter().find(|c| {
@@ -41,13 +61,13 @@ pub fn with_effects(
         let Some(c) = found else { return Ok(None) };
         chosen.push(c.chosen());
     }
-    let Some(fitted) = search.fitted(&chosen, ITERATIONS, &mut watch)? else {
+    let Some(fitted) = search.fitted(&chosen, ITERATIONS, watch)? else {
         return Ok(None);
     };
     let mut without = search.windows.clone();
     let x = search.x.clone();
     search.take(fitted);
-    search.settle(&mut watch)?;
+    search.settle(watch)?;
     let channels = &search.windows.problem.channels;
     for (channel, own) in without.problem.channels.iter_mut().zip(channels) {
         channel.sigma = own.sigma;

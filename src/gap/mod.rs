@@ -63,7 +63,7 @@ pub use given::{Oracle, is_place, with_effects};
 pub use model::Chosen;
 pub use run::{Input, MissingSeries, Options, Outcome, resume, run};
 pub use search::Limits;
-pub use stages::{Keeper, Nowhere, key};
+pub use stages::{Keeper, Kept, Nowhere, key};
 
 /// Why there is no answer.
 #[derive(Debug, Error)]

@@ -155,7 +155,7 @@ pub struct Channel {
 }
 
 /// The gap before and after.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Gap {
     /// errors at every sample; none without held-out recordings
     pub holdout: Option<Holdout>,

@@ -140,16 +140,10 @@ pub fn resume(
     report: Report<'_>,
 ) -> Result<Outcome, GapError> {
     let mut watch = Watch::new(report);
-    let hz = match (options.pull_hz, options.window_s) {
-        _ if input.protocol.drop.is_some() => None,
-        (None, None) => nudged::is_pushing(input)?.then_some(nudged::USUAL_HZ),
-        (hz, _) => hz,
-    };
-    let pulled = hz.and_then(|_| nudged::longer_steps(&input.model.model));
-    let Some(timestep_s) = options.timestep_s.or(pulled) else {
+    let (hz, paced) = way(input, options)?;
+    let Some(paced) = paced else {
         return by_method(input, options, hz, keeper, &mut watch);
     };
-    let paced = input.model.paced(timestep_s)?;
     let own = Input {
         model: &paced,
         ..*input
@@ -157,7 +151,8 @@ pub fn resume(
     let mut outcome = by_method(&own, options, hz, keeper, &mut watch)?;
     let own_s = input.model.model.timestep();
     outcome.answer.gap.notes.push(format!(
-        "simulated in steps of {timestep_s} s, the model's own being {own_s} s (--timestep)"
+        "simulated in steps of {} s, the model's own being {own_s} s (--timestep)",
+        paced.model.timestep()
     ));
     // files keep their own
     for text in [&mut outcome.model, &mut outcome.extended] {
@@ -165,6 +160,26 @@ pub fn resume(
         *text = found.paced(own_s)?.xml;
     }
     Ok(outcome)
+}
+
+/// Hz at which simulations are pulled along the recordings, if they are, and the model in other steps than its own, if it is
+/// simulated in such.
+///
+/// # Errors
+/// Input that does not fit together.
+pub(super) fn way(
+    input: &Input<'_>,
+    options: &Options,
+) -> Result<(Option<f64>, Option<ModelFile>), GapError> {
+    let hz = match (options.pull_hz, options.window_s) {
+        _ if input.protocol.drop.is_some() => None,
+        (None, None) => nudged::is_pushing(input)?.then_some(nudged::USUAL_HZ),
+        (hz, _) => hz,
+    };
+    let pulled = hz.and_then(|_| nudged::longer_steps(&input.model.model));
+    let timestep_s = options.timestep_s.or(pulled);
+    let paced = timestep_s.map(|step| input.model.paced(step)).transpose()?;
+    Ok((hz, paced))
 }
 
 /// By whole rollouts, by simulations that are pulled at `hz`, or in windows.

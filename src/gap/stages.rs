@@ -12,6 +12,8 @@
 //! What is not kept follows from what is: the same report comes out, to the last bit. Whoever keeps them sees to it that
 //! they belong to the same input ([`key`]).
 
+use std::collections::HashMap;
+
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -45,6 +47,20 @@ impl Keeper for Nowhere {
     }
 
     fn save(&mut self, _: &str, _: &[u8]) {}
+}
+
+/// Keeps stages while it lives.
+#[derive(Debug, Clone, Default)]
+pub struct Kept(HashMap<String, Vec<u8>>);
+
+impl Keeper for Kept {
+    fn load(&mut self, stage: &str) -> Option<Vec<u8>> {
+        self.0.get(stage).cloned()
+    }
+
+    fn save(&mut self, stage: &str, bytes: &[u8]) {
+        self.0.insert(stage.to_owned(), bytes.to_vec());
+    }
 }
 
 /// Stages by longer names.

@@ -2,12 +2,11 @@
 
 use super::judge::{Judge, Point};
 use super::refit::Fitted;
-use super::screen::{Candidate, LEAST_VISIBLE, again, chance};
+use super::screen::{Candidate, LEAST_VISIBLE, chance};
 use crate::gap::alike::{Rival, apart};
 use crate::gap::evidence::Evidence;
 use crate::gap::model::Chosen;
 use crate::gap::name::APART;
-use crate::gap::result::{Returned, RoundTrip};
 use crate::gap::run::Options;
 use crate::gap::score::mean;
 use crate::gap::{GapError, Watch};
@@ -185,52 +184,4 @@ pub(super) fn needless(
         }
     }
     Ok(worst.map(|(_, i, fitted)| (i, fitted)))
-}
-
-/// What the model of `fitted` would have recorded, screened again by the columns of `screened`: what is found twice, in two
-/// such recordings, stands.
-///
-/// # Errors
-/// The engine fails.
-pub(super) fn round_trip(
-    judge: &Judge<'_>,
-    options: &Options,
-    fitted: &Fitted,
-    screened: &[Candidate],
-) -> Result<Option<RoundTrip>, GapError> {
-    let Some(draws) = judge.recorded(fitted, 2, options.seed)? else {
-        return Ok(None);
-    };
-    let screened: Vec<&Candidate> = screened.iter().collect();
-    let mut each = draws.iter().map(|mean| -> Vec<String> {
-        let all = again(judge, fitted, mean, &screened);
-        let n_tests = tests(&all) as f64;
-        let found = all.iter().filter(|c| promises(judge, options, c, n_tests));
-        found
-            .map(|c| format!("{} at {}", c.effect().about().name, c.place()))
-            .collect()
-    });
-    let mut found = each.next().unwrap_or_default();
-    for other in each {
-        found.retain(|own| other.contains(own));
-    }
-    let Some(dx) = judge.back(fitted, &draws[0]) else {
-        return Ok(None);
-    };
-    let covariance = fitted.covariance(judge);
-    let chosen = fitted.chosen();
-    let mut returned = Vec::new();
-    for (j, i, p, slope) in fitted.machine.built.free(&fitted.machine.problem) {
-        let (own, about) = (&chosen[i], chosen[i].effect.about());
-        let value = own.values[p] + dx[j] * slope;
-        let half = super::name::HALF * covariance[(j, j)].sqrt() * slope.abs();
-        returned.push(Returned {
-            name: format!("{} {}", about.name, about.parameters[p].name),
-            at: own.place.to_string(),
-            put_in: own.values[p],
-            value,
-            ci95: [value - half, value + half],
-        });
-    }
-    Ok(Some(RoundTrip { found, returned }))
 }

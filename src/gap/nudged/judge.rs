@@ -229,8 +229,8 @@ impl<'a> Judge<'a> {
         })))
     }
 
-    /// Mean deviations of the model at `fitted` from what it would have recorded itself, with the noise of the sensors, in so
-    /// many draws; nothing where one diverges.
+    /// By how much deviations would be more, had the model at `fitted` made the recordings, with the noise of the sensors, in
+    /// so many draws; nothing where one diverges.
     ///
     /// # Errors
     /// The engine refuses a number.
@@ -243,12 +243,9 @@ impl<'a> Judge<'a> {
         let (machine, point) = (&fitted.machine, &fitted.point);
         let course = self.course.beside(&machine.problem, &point.x);
         let spreads = self.spreads(machine, point);
+        let trembling = trembling(point.x.len(), STILL + draws, 0);
         let mut out = Vec::new();
-        for (draw, signs) in trembling(point.x.len(), STILL + draws, 0)
-            .iter()
-            .skip(STILL)
-            .enumerate()
-        {
+        for (draw, signs) in trembling.iter().skip(STILL).enumerate() {
             let moved = DVector::from_fn(point.x.len(), |j, _| signs[j] * spreads[j]);
             let x: Vec<f64> = point.x.iter().zip(&moved).map(|(x, m)| x + m).collect();
             let Some(own) = course.at(&x)? else {
@@ -258,18 +255,20 @@ impl<'a> Judge<'a> {
             let own = DVector::from_vec(own.bins) - &fitted.ensemble.slopes.by * moved;
             let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, draw as u64);
             let noise = (course.noise_sigma()).map(|sigma| sigma * rng::normal(&mut rng));
-            out.push(&fitted.ensemble.mean - own + noise);
+            out.push(noise - own);
         }
         Ok(Some(out))
     }
 
-    /// The change of all numbers that `mean` deviations ask for at `fitted`.
-    pub(super) fn back(&self, fitted: &Fitted, mean: &DVector<f64>) -> Option<DVector<f64>> {
-        let normal = fitted.quadratic(self).normal;
-        let weights = fitted.weights(self);
-        let slopes = fitted.ensemble.slopes.whitened(&weights);
-        let right = slopes.tr_mul(&mean.component_mul(&weights));
-        Some(-normal.cholesky()?.solve(&right))
+    /// The same judge where training recordings are others, so that deviations are `more`; without held-out ones.
+    pub(super) fn retold(&self, more: DVector<f64>) -> Self {
+        Self {
+            measured: self.measured.clone(),
+            spreads: self.spreads.clone(),
+            course: self.course.retold(more),
+            held: None,
+            ..*self
+        }
     }
 
     /// Independent numbers that the recordings' deviations are worth.

@@ -9,7 +9,7 @@
 //! screen    what each effect at each place does to the deviations, by a few simulations             [screen]
 //! refit     the best few, with slopes of the other numbers held; the best that stands; all slopes anew [refit, forward]
 //! name      what fits nearly as well in its place; intervals from slopes and from how fits scatter   [name]
-//! verify    held-out recordings: pulls and rollouts; the repaired model simulated and screened again
+//! verify    held-out recordings: pulls and rollouts; the repaired model simulated and searched again
 //! ```
 //!
 //! Pulls are the base model's throughout, so that costs of two models compare like with like:
@@ -21,10 +21,12 @@
 //! where F − F′ is what several draws of simulations agree on, for in contact each is chaotic in small.
 
 mod forward;
+mod given;
 mod judge;
 mod missing;
 mod name;
 mod refit;
+mod round_trip;
 mod screen;
 mod suits;
 
@@ -42,6 +44,7 @@ use super::untestable::list;
 use super::{GapError, Stage, Watch, left, repair, verify};
 use crate::compare::Settings;
 use crate::sysid::nudging::{self, NudgingSettings};
+pub(super) use given::with_effects;
 use judge::{Judge, Point, Problems};
 use refit::Fitted;
 use screen::{Candidate, LEAST_VISIBLE};
@@ -104,32 +107,9 @@ pub(super) fn resume(
     keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, GapError> {
-    watch.windows = format!("pulled at {hz} Hz");
-    watch.stage(Stage::Fit);
     check_effects(&options.effects, &input.model.model)?;
     let problems = Problems::new(input)?;
-    let known: Option<Fit> = stages::load(keeper, "nudged");
-    let fit = if let Some(known) = known {
-        known
-    } else {
-        let settings = NudgingSettings {
-            hz,
-            ..NudgingSettings::default()
-        };
-        let start = problems.train.parameters.start();
-        let (x, spreads) =
-            nudging::settle(&problems.train, &settings, &start, &mut |i| watch.fit(i))?;
-        watch.go_on()?;
-        let fit = Fit { x, spreads };
-        stages::save(keeper, "nudged", &fit);
-        fit
-    };
-    let mut judge = Judge::new(input, &problems, hz, (&fit.x, &fit.spreads))?;
-    let base = Point {
-        written: Vec::new(),
-        x: fit.x,
-    };
-    let base = linearised(&mut judge, base)?;
+    let (mut judge, base) = begin(input, &problems, hz, keeper, watch)?;
     watch.stage(Stage::Locate);
     let length_s = STRETCH / hz;
     let before = lacks(&judge, &base, length_s)?;
@@ -206,7 +186,7 @@ pub(super) fn resume(
             Some(last) => last,
             None => screen::beside(&judge, present, &screened, watch)?,
         };
-        forward::round_trip(&judge, options, &named.fitted, &last)?
+        round_trip::round_trip(&judge, options, &named.fitted, &last, watch)?
     };
     let fitted = &named.fitted;
     let last = lacks(&judge, fitted, length_s)?;
@@ -229,15 +209,10 @@ pub(super) fn resume(
         &|channel| verify::noise(&problems.train, channel),
         options.seed,
     )?;
-    if let (Some(before), Some(after)) = (held_before, held(&judge, fitted, length_s)?) {
-        gap.holdout = Some(Holdout {
-            quantity: format!("force that pulls simulations along at {hz} Hz, of the motors'"),
-            before: 100.0 * before,
-            after: 100.0 * after,
-            noise_floor: None,
-            unit: "%".into(),
-        });
-    }
+    let held_after = held(&judge, fitted, length_s)?;
+    gap.holdout = (held_before.zip(held_after))
+        .map(|parts| pulls(hz, parts))
+        .or(gap.holdout);
     gap.notes.push(format!(
         "whole recordings are simulated, pulled along their motion at {hz} Hz (--pull): windows do not follow what a machine \
          pushes (--window)"
@@ -278,6 +253,41 @@ pub(super) fn resume(
             Some(MissingSeries::new(&last)),
         ],
     })
+}
+
+/// The base model, fitted.
+fn begin<'a>(
+    input: &Input<'a>,
+    problems: &'a Problems,
+    hz: f64,
+    keeper: &mut dyn Keeper,
+    watch: &mut Watch<'_>,
+) -> Result<(Judge<'a>, Fitted), GapError> {
+    watch.windows = format!("pulled at {hz} Hz");
+    watch.stage(Stage::Fit);
+    let known: Option<Fit> = stages::load(keeper, "nudged");
+    let fit = if let Some(known) = known {
+        known
+    } else {
+        let settings = NudgingSettings {
+            hz,
+            ..NudgingSettings::default()
+        };
+        let start = problems.train.parameters.start();
+        let (x, spreads) =
+            nudging::settle(&problems.train, &settings, &start, &mut |i| watch.fit(i))?;
+        watch.go_on()?;
+        let fit = Fit { x, spreads };
+        stages::save(keeper, "nudged", &fit);
+        fit
+    };
+    let mut judge = Judge::new(input, problems, hz, (&fit.x, &fit.spreads))?;
+    let base = Point {
+        written: Vec::new(),
+        x: fit.x,
+    };
+    let base = linearised(&mut judge, base)?;
+    Ok((judge, base))
 }
 
 /// A point with pulls of its own, and all its slopes.
@@ -325,6 +335,17 @@ fn held(judge: &Judge<'_>, at: &Fitted, length_s: f64) -> Result<Option<f64>, Ga
     }
     let missing: Option<Missing> = missing::missing(judge, (&at.machine, &at.point), length_s)?;
     Ok(missing.as_ref().and_then(missing::share))
+}
+
+/// Missing force of the held-out recordings by two models, as parts of the motors'.
+fn pulls(hz: f64, (before, after): (f64, f64)) -> Holdout {
+    Holdout {
+        quantity: format!("force that pulls simulations along at {hz} Hz, of the motors'"),
+        before: 100.0 * before,
+        after: 100.0 * after,
+        noise_floor: None,
+        unit: "%".into(),
+    }
 }
 
 fn tested(judge: &Judge<'_>, c: &Candidate) -> Tested {

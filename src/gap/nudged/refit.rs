@@ -92,7 +92,11 @@ impl Judge<'_> {
         Ok(Some(best))
     }
 
-    fn seen(
+    /// A point with what is seen there; nothing where it cannot be simulated.
+    ///
+    /// # Errors
+    /// The engine fails.
+    pub(super) fn seen(
         &self,
         machine: Machine,
         point: Point,

@@ -90,7 +90,8 @@ struct Expected {
 }
 
 impl<'j> Follow<'j> {
-    fn new(judge: &'j Judge<'j>, present: &'j Fitted, mean: &'j DVector<f64>) -> Option<Self> {
+    fn new(judge: &'j Judge<'j>, present: &'j Fitted) -> Option<Self> {
+        let mean = &present.ensemble.mean;
         let normal = present.quadratic(judge).normal;
         let slopes = present.ensemble.slopes.whitened(&present.weights(judge));
         let weights = judge.course.weights(mean.as_slice());
@@ -166,7 +167,7 @@ pub(super) fn screen(
 ) -> Result<Vec<Candidate>, GapError> {
     watch.stage(Stage::Screen);
     let looked = columns(judge, base, &asked(judge, only), ROUGH, watch)?;
-    let all = rate(judge, base, &base.ensemble.mean, looked);
+    let all = rate(judge, base, looked);
     best_again(judge, base, all, watch)
 }
 
@@ -186,7 +187,7 @@ pub(super) fn beside(
         written.any(|w| c.asked.is(w.effect, &w.place))
     };
     let left: Vec<&Candidate> = known.iter().filter(|c| !taken(c)).collect();
-    let all = again(judge, present, &present.ensemble.mean, &left);
+    let all = again(judge, present, &left);
     best_again(judge, present, all, watch)
 }
 
@@ -205,7 +206,7 @@ fn best_again(
         })
         .collect();
     let looked = columns(judge, present, &asked, FINE, watch)?;
-    all.extend(rate(judge, present, &present.ensemble.mean, looked));
+    all.extend(rate(judge, present, looked));
     sort(&mut all);
     Ok(all)
 }
@@ -276,25 +277,19 @@ fn as_expected(judge: &Judge<'_>, c: &Candidate) -> Variant {
     variant
 }
 
-/// Candidates by columns that are known, for other deviations.
+/// Candidates by columns that are known, beside other models or for other readings.
 pub(super) fn again(
     judge: &Judge<'_>,
     present: &Fitted,
-    mean: &DVector<f64>,
     screened: &[&Candidate],
 ) -> Vec<Candidate> {
     let looked = (screened.iter()).map(|c| (c.asked.clone(), Arc::clone(&c.columns)));
-    rate(judge, present, mean, looked.collect())
+    rate(judge, present, looked.collect())
 }
 
-fn rate(
-    judge: &Judge<'_>,
-    present: &Fitted,
-    mean: &DVector<f64>,
-    looked: Vec<Looked>,
-) -> Vec<Candidate> {
+fn rate(judge: &Judge<'_>, present: &Fitted, looked: Vec<Looked>) -> Vec<Candidate> {
     let mut best: Vec<Candidate> = Vec::new();
-    let Some(follow) = Follow::new(judge, present, mean) else {
+    let Some(follow) = Follow::new(judge, present) else {
         return best;
     };
     for (asked, columns) in looked {

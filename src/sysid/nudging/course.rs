@@ -31,6 +31,8 @@ pub(crate) struct Course<'a> {
     pub(super) bins: Arc<Bins>,
     pub(super) timings: Timings,
     pub(super) pool: Pool,
+    /// by how much other readings than those recorded move deviations
+    retold: Option<Arc<DVector<f64>>>,
 }
 
 /// Simulations of all trials at one point of the search.
@@ -53,6 +55,7 @@ impl<'a> Course<'a> {
             pulls: Arc::new(pulls),
             bins: Arc::new(Bins::new(problem, 1.0 / (BINS * hz))),
             pool: Pool::default(),
+            retold: None,
         })
     }
 
@@ -65,7 +68,15 @@ impl<'a> Course<'a> {
             pulls: Arc::clone(&self.pulls),
             bins: Arc::clone(&self.bins),
             pool: Pool::default(),
+            retold: self.retold.clone(),
         }
+    }
+
+    /// The same pulls for readings that differ so that all deviations are `more` (by bin).
+    pub(crate) fn retold(&self, more: DVector<f64>) -> Self {
+        let mut other = self.beside(self.problem, &self.problem.parameters.start());
+        other.retold = Some(Arc::new(more));
+        other
     }
 
     /// The simulations at parameters `x`; `None` where one diverges.
@@ -86,6 +97,12 @@ impl<'a> Course<'a> {
         {
             let on = (window, placed.as_slice());
             (self.bins).add(self.problem, on, simulated, &free, &mut bins);
+        }
+        for (bin, more) in bins
+            .iter_mut()
+            .zip(self.retold.iter().flat_map(|m| m.iter()))
+        {
+            *bin += more;
         }
         Ok(Some(Here { simulated, bins }))
     }

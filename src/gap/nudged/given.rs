@@ -1,0 +1,71 @@
+//! Effects that are given instead of searched for, by pulled simulations.
+
+use super::judge::{Judge, Problems};
+use super::refit::Fitted;
+use super::{STRETCH, begin, held, pulls, screen, settled};
+use crate::gap::given::Oracle;
+use crate::gap::result::Gap;
+use crate::gap::run::Input;
+use crate::gap::stages::Keeper;
+use crate::gap::{GapError, Watch, is_place};
+
+/// As [`crate::gap::with_effects`], by simulations that are pulled at `hz`.
+pub(in crate::gap) fn with_effects(
+    input: &Input<'_>,
+    hz: f64,
+    effects: &[(String, String)],
+    keeper: &mut dyn Keeper,
+    watch: &mut Watch<'_>,
+) -> Result<Option<Oracle>, GapError> {
+    let problems = Problems::new(input)?;
+    let (mut judge, base) = begin(input, &problems, hz, keeper, watch)?;
+    let length_s = STRETCH / hz;
+    let before = held(&judge, &base, length_s)?;
+    let Some(fitted) = fitted(&judge, &base, effects, watch)? else {
+        return Ok(None);
+    };
+    let fall = base.cost - fitted.cost;
+    let (fitted, _) = settled(&mut judge, fitted)?;
+    let after = held(&judge, &fitted, length_s)?;
+    let holdout = before.zip(after).map(|gap| pulls(hz, gap));
+    Ok(Some(Oracle {
+        gap: Gap {
+            holdout,
+            ..Gap::default()
+        },
+        detectability: (2.0 * fall).max(0.0).sqrt(),
+    }))
+}
+
+/// The base model with all effects, fitted from what is expected of each alone; none where one of them cannot act or be said.
+fn fitted(
+    judge: &Judge<'_>,
+    base: &Fitted,
+    effects: &[(String, String)],
+    watch: &mut Watch<'_>,
+) -> Result<Option<Fitted>, GapError> {
+    let names: Vec<String> = effects.iter().map(|e| e.0.clone()).collect();
+    let screened = screen::screen(judge, base, &names, watch)?;
+    let mut chosen = Vec::new();
+    for (name, place) in effects {
+        let found = screened
+            .iter()
+            .find(|c| c.effect().about().name == name && is_place(&c.place().to_string(), place));
+        let Some(c) = found else { return Ok(None) };
+        chosen.push(c.chosen());
+    }
+    let Some((last, others)) = chosen.split_last() else {
+        return Ok(None);
+    };
+    let mut point = base.point.clone();
+    for one in others {
+        let Some((_, more)) = judge.with(&point, one.clone()) else {
+            return Ok(None);
+        };
+        point = more;
+    }
+    match judge.with(&point, last.clone()) {
+        Some(start) => judge.refit(start, &base.ensemble.slopes),
+        None => Ok(None),
+    }
+}
