@@ -10,6 +10,7 @@
 //!   model has exactly.
 
 use super::alike::{self, Tried};
+use super::effect::are_neighbours;
 use super::evidence::Standing;
 use super::held_out::{both, falls};
 use super::score::Score;
@@ -19,6 +20,8 @@ use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted in full before one is kept.
 const RIVALS: usize = 8;
+/// And of what the best may be mistaken for.
+const NEIGHBOURS: usize = 2;
 /// So many candidates would look as good by chance, of one that is worth a fit.
 const LIKELY: f64 = 3.0;
 /// Part of the least size that such a one promises.
@@ -165,7 +168,8 @@ impl Search<'_> {
         Ok(false)
     }
 
-    /// Candidates to be fitted, best first.
+    /// Candidates to be fitted, best first; then what the catalogue says may be mistaken for the best: a screen is linear, and
+    /// what turns gravity by much is not.
     fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
         let (least, tests) = (self.limits.gain * self.unexplained(screen), tests(screen));
         let likely = |s: &Score| s.p_value * tests as f64 <= LIKELY && s.held_gain > 0.0;
@@ -173,7 +177,17 @@ impl Search<'_> {
         let found = self.best_first(screen, |c, s| large(c) && s.gain >= least && likely(s));
         let most = found.first().map_or(0.0, |f| f.1.held_gain);
         let near = found.into_iter().filter(|f| f.1.held_gain >= NEAR * most);
-        near.map(|f| f.0).take(RIVALS).collect()
+        let mut rivals: Vec<&Candidate> = near.map(|f| f.0).take(RIVALS).collect();
+        if let Some(&best) = rivals.first() {
+            let (taken, is) = (rivals.clone(), std::ptr::eq::<Candidate>);
+            let others = self.best_first(screen, |c, s| {
+                are_neighbours(c.effect, best.effect)
+                    && s.gain >= least
+                    && !taken.iter().any(|own| is(*own, c))
+            });
+            rivals.extend(others.into_iter().take(NEIGHBOURS).map(|f| f.0));
+        }
+        rivals
     }
 }
 

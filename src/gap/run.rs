@@ -280,17 +280,29 @@ pub(super) fn at_length(
     };
     let without = search.windows.without_steps(&search.x, &screen.linear)?;
     let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
-    search.tell_apart(by_steps, watch)?;
+    let again = if search.tell_apart(by_steps, watch)? {
+        Some(screened(search.screen(watch)?)?)
+    } else {
+        None
+    };
     watch.go_on()?;
+    let (screen, without) = match &again {
+        Some(again) => {
+            let without = search.windows.without_steps(&search.x, &again.linear)?;
+            (again, without)
+        }
+        None => (&screen, without),
+    };
+    let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
     watch.stage(Stage::Name);
     let step = without.map(|own| own.error(&screen.normal));
-    let effects = name::name(&search, &screen, step.as_ref());
-    let last = Missing::new(&search.windows, &search.x, &screen, &search.stretch_of)?;
+    let effects = name::name(&search, screen, step.as_ref());
+    let last = Missing::new(&search.windows, &search.x, screen, &search.stretch_of)?;
     let remaining = Remaining {
         before: first.remaining,
         after: search.remaining(&screen.linear, screen.motors.as_deref()),
     };
-    let untestable = untestable::untestable(&search, &screen);
+    let untestable = untestable::untestable(&search, screen);
     let much = left::much(&remaining);
     let rest = left::left(&last, much);
     watch.stage(Stage::Verify);

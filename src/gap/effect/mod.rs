@@ -54,6 +54,15 @@ pub struct Neighbour {
     pub split: &'static str,
 }
 
+/// Whether one of two effects is said to look like the other.
+pub(crate) fn are_neighbours(a: &dyn Effect, b: &dyn Effect) -> bool {
+    let knows = |a: &dyn Effect, b: &dyn Effect| {
+        let name = b.about().name;
+        a.about().neighbours.iter().any(|n| n.name == name)
+    };
+    knows(a, b) || knows(b, a)
+}
+
 /// What is known of an effect without a model.
 #[derive(Debug)]
 pub struct About {

@@ -10,7 +10,7 @@
 use super::forward::{Candidate, candidates, screen, zoom};
 use super::judge::{Judge, Polished, difference};
 use super::rest::Size;
-use crate::gap::effect::{Effect, Form, Role, Scales, Sign};
+use crate::gap::effect::{Form, Role, Scales, Sign, are_neighbours};
 use crate::gap::evidence::Evidence;
 use crate::gap::model::Chosen;
 use crate::gap::name::{APART, called};
@@ -129,12 +129,4 @@ fn alike(
         }
     }
     Ok(out)
-}
-
-fn are_neighbours(a: &dyn Effect, b: &dyn Effect) -> bool {
-    let knows = |a: &dyn Effect, b: &dyn Effect| {
-        let name = b.about().name;
-        a.about().neighbours.iter().any(|n| n.name == name)
-    };
-    knows(a, b) || knows(b, a)
 }
