@@ -230,9 +230,7 @@ impl Search<'_> {
                 let (own, other) = ((&own, &self.x[..]), (&costs, &fitted.x[..]));
                 let back = separation(own, other, fitted.cost);
                 if back >= APART && !self.absurd(&fitted) {
-                    let old = Rival::of(&self.chosen[i], back);
                     *self = self.settled_with(fitted, watch)?;
-                    left.push(old);
                     (own_steps, exchanged) = (None, true);
                 } else {
                     let separation = separation(other, own, self.cost);
@@ -261,7 +259,7 @@ mod tests {
     use crate::recording::{Channel, Kind, Meta, Recording, Stream};
     use crate::rng::{self, Purpose};
 
-    /// Two masses with motors; what `A` and `B` stand for are attributes of their joints.
+    /// Two masses with motors; `a` and `b` are attributes of their joints.
     fn machine(a: &str, b: &str) -> ModelFile {
         let joint = |name: &str, axis: &str, more: &str| {
             format!(
