@@ -27,8 +27,7 @@ pub struct SuiteConfig {
     pub max_effects: usize,
     /// most windows of a search; by default that of `phantom gap`
     pub most_windows: Option<usize>,
-    /// Hz at which simulations are pulled along the recordings; by default as `phantom gap` does. What a search could reach at
-    /// best is then not looked for.
+    /// Hz at which simulations are pulled along the recordings; by default as `phantom gap` does
     pub pull_hz: Option<f64>,
     /// s of the search's steps; by default those of `phantom gap`
     pub timestep: Option<f64>,

@@ -197,21 +197,25 @@ impl Search<'_> {
         mut own_steps: Option<f64>,
         watch: &mut Watch<'_>,
     ) -> Result<bool, GapError> {
+        if self.chosen.len() < 2 {
+            for own in &mut self.evidence {
+                own.alike.retain(Rival::is_alike);
+            }
+            return Ok(false);
+        }
+        if self.evidence.iter().any(|e| !e.alike.is_empty()) {
+            watch.stage(Stage::Refit);
+        }
         let mut exchanged = false;
         for i in 0..self.evidence.len() {
             let mut left = Vec::new();
             for rival in std::mem::take(&mut self.evidence[i].alike) {
-                if self.chosen.len() < 2 {
-                    left.push(rival);
-                    continue;
-                }
                 let Some(effect) = named(&rival.name) else {
                     continue;
                 };
                 if self.chosen.iter().any(|c| rival.is(c)) {
                     continue; // it stands beside it
                 }
-                watch.stage(Stage::Refit);
                 let mut chosen = self.chosen.clone();
                 chosen[i] = Chosen {
                     effect,

@@ -179,13 +179,12 @@ impl Search<'_> {
         let near = found.into_iter().filter(|f| f.1.held_gain >= NEAR * most);
         let mut rivals: Vec<&Candidate> = near.map(|f| f.0).take(RIVALS).collect();
         if let Some(&best) = rivals.first() {
-            let (taken, is) = (rivals.clone(), std::ptr::eq::<Candidate>);
-            let others = self.best_first(screen, |c, s| {
-                are_neighbours(c.effect, best.effect)
-                    && s.gain >= least
-                    && !taken.iter().any(|own| is(*own, c))
-            });
-            rivals.extend(others.into_iter().take(NEIGHBOURS).map(|f| f.0));
+            let alike =
+                |c: &Candidate, s: &Score| are_neighbours(c.effect, best.effect) && s.gain >= least;
+            let others = self.best_first(screen, alike).into_iter().map(|f| f.0);
+            let others = others.filter(|c| !rivals.iter().any(|own| std::ptr::eq(*own, *c)));
+            let others: Vec<&Candidate> = others.take(NEIGHBOURS).collect();
+            rivals.extend(others);
         }
         rivals
     }

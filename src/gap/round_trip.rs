@@ -4,6 +4,7 @@
 //! sensors have: nothing more must be found, and the effects' numbers must come back.
 
 use super::effect::Role;
+use super::model::Chosen;
 use super::result::{Returned, RoundTrip};
 use super::search::Search;
 use super::{GapError, Watch};
@@ -12,6 +13,18 @@ use crate::sysid::student::two_sided_t;
 
 /// Iterations of the fit.
 const ITERATIONS: usize = 8;
+
+/// Number `p` of an effect that was put in, as it came back, known to ±`half`.
+pub(super) fn returned(put_in: &Chosen, p: usize, value: f64, half: f64) -> Returned {
+    let about = put_in.effect.about();
+    Returned {
+        name: format!("{} {}", about.name, about.parameters[p].name),
+        at: put_in.place.to_string(),
+        put_in: put_in.values[p],
+        value,
+        ci95: [value - half, value + half],
+    }
+}
 
 /// Searches what the present model of `search` would have recorded; nothing if stopped.
 ///
@@ -52,7 +65,7 @@ pub(super) fn round_trip(
         .map(|c| format!("{} at {}", c.effect.about().name, c.place))
         .collect();
     let free = again.built.free(&again.windows.problem);
-    let mut returned = Vec::new();
+    let mut back = Vec::new();
     for (i, (before, after)) in put_in.iter().zip(&again.chosen).enumerate() {
         for (p, parameter) in before.effect.about().parameters.iter().enumerate() {
             let number = free.iter().find(|f| f.1 == i && f.2 == p);
@@ -62,14 +75,11 @@ pub(super) fn round_trip(
             };
             let (sigma, dof) = screen.normal.fitted(*j);
             let half = two_sided_t(0.95, dof.max(1.0)) * sigma * slope.abs();
-            returned.push(Returned {
-                name: format!("{} {}", before.effect.about().name, parameter.name),
-                at: before.place.to_string(),
-                put_in: before.values[p],
-                value: after.values[p],
-                ci95: [after.values[p] - half, after.values[p] + half],
-            });
+            back.push(returned(before, p, after.values[p], half));
         }
     }
-    Ok(Some(RoundTrip { found, returned }))
+    Ok(Some(RoundTrip {
+        found,
+        returned: back,
+    }))
 }

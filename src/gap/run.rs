@@ -286,14 +286,14 @@ pub(super) fn at_length(
         None
     };
     watch.go_on()?;
-    let (screen, without) = match &again {
+    let (screen, without, by_steps) = match &again {
         Some(again) => {
             let without = search.windows.without_steps(&search.x, &again.linear)?;
-            (again, without)
+            let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
+            (again, without, by_steps)
         }
-        None => (&screen, without),
+        None => (&screen, without, by_steps),
     };
-    let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
     watch.stage(Stage::Name);
     let step = without.map(|own| own.error(&screen.normal));
     let effects = name::name(&search, screen, step.as_ref());

@@ -90,7 +90,7 @@ pub(super) fn forward(
     let rivals: Vec<&Candidate> = all.iter().filter(may).take(RIVALS).collect();
     let points = rivals
         .iter()
-        .filter_map(|c| judge.with(&present.point, c.chosen()));
+        .filter_map(|c| judge.with(&present.point, &[c.chosen()]));
     let points = points.collect();
     let fitted = judge.refit_all(points, &present.ensemble.slopes)?;
     watch.go_on()?;

@@ -54,17 +54,7 @@ fn fitted(
         let Some(c) = found else { return Ok(None) };
         chosen.push(c.chosen());
     }
-    let Some((last, others)) = chosen.split_last() else {
-        return Ok(None);
-    };
-    let mut point = base.point.clone();
-    for one in others {
-        let Some((_, more)) = judge.with(&point, one.clone()) else {
-            return Ok(None);
-        };
-        point = more;
-    }
-    match judge.with(&point, last.clone()) {
+    match judge.with(&base.point, &chosen) {
         Some(start) => judge.refit(start, &base.ensemble.slopes),
         None => Ok(None),
     }

@@ -142,10 +142,9 @@ impl<'a> Judge<'a> {
         Some(Machine { built, problem })
     }
 
-    /// The model and the numbers of `present` with one more effect; nothing where that cannot be said.
-    pub(super) fn with(&self, present: &Point, chosen: Chosen) -> Option<(Machine, Point)> {
-        let mut written = present.written.clone();
-        written.push(chosen);
+    /// The model and the numbers of `present` with more effects; nothing where that cannot be said.
+    pub(super) fn with(&self, present: &Point, more: &[Chosen]) -> Option<(Machine, Point)> {
+        let written = [&present.written, more].concat();
         let machine = self.build(&written)?;
         let mut x = machine.problem.parameters.start();
         x[..present.x.len()].copy_from_slice(&present.x);

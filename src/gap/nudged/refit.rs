@@ -80,11 +80,7 @@ impl Judge<'_> {
                 written: best.point.written.clone(),
                 x,
             };
-            let Some(machine) = self.build(&point.written) else {
-                break;
-            };
-            let known = best.ensemble.slopes.clone();
-            match self.seen(machine, point, &known)? {
+            match self.reached(point, &best.ensemble.slopes)? {
                 Some(next) if next.cost < best.cost => best = next,
                 _ => break,
             }
@@ -92,11 +88,18 @@ impl Judge<'_> {
         Ok(Some(best))
     }
 
-    /// A point with what is seen there; nothing where it cannot be simulated.
+    /// A point with what is seen there; nothing where it cannot be said or simulated.
     ///
     /// # Errors
     /// The engine fails.
-    pub(super) fn seen(
+    pub(super) fn reached(&self, point: Point, known: &Slopes) -> Result<Option<Fitted>, GapError> {
+        match self.build(&point.written) {
+            Some(machine) => self.seen(machine, point, known),
+            None => Ok(None),
+        }
+    }
+
+    fn seen(
         &self,
         machine: Machine,
         point: Point,

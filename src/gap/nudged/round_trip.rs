@@ -10,6 +10,7 @@ use super::name::HALF;
 use super::refit::Fitted;
 use super::screen::{Candidate, again};
 use crate::gap::result::{Returned, RoundTrip};
+use crate::gap::round_trip::returned;
 use crate::gap::run::Options;
 use crate::gap::{GapError, Watch};
 
@@ -32,16 +33,13 @@ pub(super) fn round_trip(
     };
     let screened: Vec<&Candidate> = screened.iter().collect();
     let mut found: Option<String> = None;
-    let mut returned = Vec::new();
+    let mut back = Vec::new();
     for (draw, more) in draws.into_iter().enumerate() {
         let own = judge.retold(more);
         let known = &fitted.ensemble.slopes;
         let at = |x: Vec<f64>| -> Result<Option<Fitted>, GapError> {
             let written = fitted.point.written.clone();
-            match own.build(&written) {
-                Some(machine) => own.seen(machine, Point { written, x }, known),
-                None => Ok(None),
-            }
+            own.reached(Point { written, x }, known)
         };
         let Some(seen) = at(fitted.point.x.clone())? else {
             return Ok(None);
@@ -50,7 +48,7 @@ pub(super) fn round_trip(
             return Ok(None);
         };
         if draw == 0 {
-            returned = came_back(judge, fitted, &moved);
+            back = came_back(judge, fitted, &moved);
         }
         // what both cost differs by chaos, for little is told
         let present = if moved.cost < seen.cost { moved } else { seen };
@@ -65,7 +63,7 @@ pub(super) fn round_trip(
     }
     Ok(Some(RoundTrip {
         found: found.into_iter().collect(),
-        returned,
+        returned: back,
     }))
 }
 
@@ -74,15 +72,8 @@ fn came_back(judge: &Judge<'_>, fitted: &Fitted, back: &Fitted) -> Vec<Returned>
     let covariance = fitted.covariance(judge);
     let (put_in, back) = (fitted.chosen(), back.chosen());
     let number = |(j, i, p, slope): (usize, usize, usize, f64)| {
-        let (about, value) = (put_in[i].effect.about(), back[i].values[p]);
         let half = HALF * covariance[(j, j)].sqrt() * slope.abs();
-        Returned {
-            name: format!("{} {}", about.name, about.parameters[p].name),
-            at: put_in[i].place.to_string(),
-            put_in: put_in[i].values[p],
-            value,
-            ci95: [value - half, value + half],
-        }
+        returned(&put_in[i], p, back[i].values[p], half)
     };
     let free = fitted.machine.built.free(&fitted.machine.problem);
     free.into_iter().map(number).collect()

@@ -375,7 +375,7 @@ fn column(
     size: f64,
     simulations: usize,
 ) -> Option<DVector<f64>> {
-    let (machine, point) = judge.with(&present.point, chosen)?;
+    let (machine, point) = judge.with(&present.point, &[chosen])?;
     let course = judge.course.beside(&machine.problem, &point.x);
     let mut spreads = judge.spreads(&machine, &point);
     spreads[present.point.x.len()..].fill(0.0);

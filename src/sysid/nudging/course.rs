@@ -98,11 +98,10 @@ impl<'a> Course<'a> {
             let on = (window, placed.as_slice());
             (self.bins).add(self.problem, on, simulated, &free, &mut bins);
         }
-        for (bin, more) in bins
-            .iter_mut()
-            .zip(self.retold.iter().flat_map(|m| m.iter()))
-        {
-            *bin += more;
+        if let Some(more) = &self.retold {
+            bins.iter_mut()
+                .zip(more.iter())
+                .for_each(|(bin, more)| *bin += more);
         }
         Ok(Some(Here { simulated, bins }))
     }
