@@ -151,7 +151,8 @@ fn friction_under_a_pushed_block_is_named() {
     assert_eq!(least.before, found.before, "fitted once");
     let closed = (found.before - found.after) / (found.before - least.after);
     assert!((closed - 1.0).abs() < 0.05, "{closed}");
-    assert!(oracle.detectability > 10.0, "{}", oracle.detectability);
+    let d = oracle.detectability.expect("of one effect");
+    assert!(d > 10.0, "{d}");
     assert!(
         given("coulomb_friction", "nowhere")
             .expect("looked for")

@@ -6,7 +6,7 @@
 //! | class | every hidden effect is in the class of one that was named at its place |
 //! | exact | and is its first name |
 //! | closed | (before − after)/(before − oracle) of the held-out error, where the oracle fits the true structure |
-//! | detectability | how far the recordings are from what a model without the effects can do, see [`Oracle`] |
+//! | detectability | how far the recordings are from what a model without one of the effects can do, see [`Oracle`] |
 
 use serde::{Deserialize, Serialize};
 
@@ -140,7 +140,7 @@ pub(super) fn score(
         arm: arm.name.clone(),
         severity: case.severity,
         noise: case.noise,
-        detectability: oracle.map(|o| o.detectability),
+        detectability: oracle.and_then(|o| o.detectability),
         verdict: answer.verdict,
         class_sizes: answer.effects.iter().map(|n| n.class.len()).collect(),
         detected,

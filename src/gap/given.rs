@@ -11,10 +11,11 @@ use super::{GapError, Report, Watch, nudged, repair, verify};
 pub struct Oracle {
     /// before and after
     pub gap: Gap,
-    /// How far the training recordings are from what the base model can do, in standard deviations of what the true
-    /// structure leaves of them: `d² = 2 (C − C′)`, C of the base model, C′ of the true structure, both fitted with
-    /// channels weighed by what the latter leaves.
-    pub detectability: f64,
+    /// How far the training recordings are from what a model without one of the effects can do, in standard deviations of
+    /// what the true structure leaves of them: `d² = 2 (C − C′)`, C of the model with all effects but that one, C′ of the
+    /// true structure, both fitted with channels weighed by what the latter leaves. The least of all effects; none where a
+    /// model without one cannot be simulated.
+    pub detectability: Option<f64>,
 }
 
 /// `effects` (name, place) fitted to the training recordings; none where one of them cannot act or be seen. What `keeper` has
@@ -64,15 +65,14 @@ fn in_windows(
     let Some(fitted) = search.fitted(&chosen, ITERATIONS, watch)? else {
         return Ok(None);
     };
-    let mut without = search.windows.clone();
-    let x = search.x.clone();
     search.take(fitted);
     search.settle(watch)?;
-    let channels = &search.windows.problem.channels;
-    for (channel, own) in without.problem.channels.iter_mut().zip(channels) {
-        channel.sigma = own.sigma;
+    let mut costs = Vec::new();
+    for i in 0..search.chosen.len() {
+        let mut others = search.chosen.clone();
+        others.remove(i);
+        costs.push(search.fitted(&others, ITERATIONS, watch)?.map(|f| f.cost));
     }
-    let cost = without.fit(&x, ITERATIONS, &mut watch.fit_nearly())?.cost;
     let after = repair::machine(&search.windows.problem, &search.x)?;
     let sigma = |_: &str| None;
     let (holdout, seed) = (input.holdout, options.seed);
@@ -80,8 +80,15 @@ fn in_windows(
     let gap = verify::verify(&before, &after, holdout, &protocol, &sigma, seed)?;
     Ok(Some(Oracle {
         gap,
-        detectability: (2.0 * (cost - search.cost)).max(0.0).sqrt(),
+        detectability: least(search.cost, costs),
     }))
+}
+
+/// The least detectability, of a true structure that leaves `cost`, where models without one effect leave `without`.
+pub(super) fn least(cost: f64, without: Vec<Option<f64>>) -> Option<f64> {
+    let of = |own: f64| (2.0 * (own - cost)).max(0.0).sqrt();
+    let each: Option<Vec<f64>> = without.into_iter().collect();
+    each?.into_iter().map(of).reduce(f64::min)
 }
 
 /// Places by name; the two joints of a coupling in either order, and a contact of two geoms by one of them.

@@ -2,20 +2,24 @@
 //!
 //! In each window the forces f at the joints that would bring the model onto the recording, constant over the window and
 //! its first state free, follow by least squares. They are gathered in cells of joint × contact × direction × speed. A
-//! cell's mean is tested over stretches of time (t test, times the number of cells). How fast what a joint misses changes
-//! says its band of frequencies ([`super::band`]), up to one over two windows.
+//! cell's mean is tested over stretches of time (t test, times the number of cells), and how large it is by what the fitted
+//! model, simulated, would show as missing ([`super::null`]). How fast what a joint misses changes says its band of
+//! frequencies ([`super::band`]), up to one over two windows.
 //!
 //! ```text
 //! r̃ + Φ f ≈ 0        Φ: what a constant torque at each joint does
 //! ```
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use super::GapError;
 use super::band::band;
 use super::effect::named;
+use super::linear::Row;
+use super::null::Null;
 use super::result::Located;
 use super::score::two_sided;
 use super::screen::Screen;
@@ -30,6 +34,21 @@ const LEAST: usize = 5;
 const LEVEL: f64 = 0.01;
 /// Ridge of the forces of a window, relative.
 const RIDGE: f64 = 1e-6;
+
+/// Windows of a joint in one phase.
+pub(super) struct Cell {
+    pub joint: usize,
+    phase: String,
+    pub inside: Vec<usize>,
+}
+
+impl Cell {
+    /// Root mean square of its part of forces (windows × joints).
+    pub(super) fn rms(&self, force: &DMatrix<f64>) -> f64 {
+        let squares = self.inside.iter().map(|&w| force[(w, self.joint)].powi(2));
+        (squares.sum::<f64>() / self.inside.len() as f64).sqrt()
+    }
+}
 
 /// Forces that the model misses, window by window.
 pub(super) struct Missing {
@@ -68,32 +87,12 @@ impl Missing {
     ) -> Result<Self, GapError> {
         let problem = &windows.problem;
         let model = &problem.model;
-        let mut own: Vec<(String, usize)> = (screen.candidates.iter())
-            .filter(|c| c.effect.about().name == "torque_offset")
-            .map(|c| (c.place.name.clone(), c.columns[0]))
-            .collect();
-        let driven = driven(model);
-        if own.iter().any(|(name, _)| driven.contains(name)) {
-            own.retain(|(name, _)| driven.contains(name));
-        }
+        let own = joints(model, screen);
         let (n, m) = (windows.len(), own.len());
         let mut force = DMatrix::zeros(n, m);
-        for (w, row) in screen.linear.rows.iter().enumerate() {
-            let phi = DMatrix::from_fn(row.residual.len(), m, |i, j| {
-                screen.columns[own[j].1].parts[w][i]
-            });
-            let mut normal = phi.tr_mul(&phi);
-            for j in 0..m {
-                normal[(j, j)] *= 1.0 + RIDGE;
-                normal[(j, j)] += f64::MIN_POSITIVE;
-            }
-            let right: DVector<f64> = phi.tr_mul(&row.residual);
-            if let Some(factor) = normal.cholesky() {
-                let f = -factor.solve(&right);
-                for j in 0..m {
-                    force[(w, j)] = f[j];
-                }
-            }
+        let rows = screen.linear.rows.iter();
+        for (w, (row, to)) in rows.zip(to_forces(model, screen)).enumerate() {
+            force.set_row(w, &(to * &row.residual).transpose());
         }
         let mut data = Data::new(Arc::clone(model))?;
         problem.parameters.apply(model, x, &mut data)?;
@@ -152,9 +151,9 @@ impl Missing {
         })
     }
 
-    /// Cells in which the mean is not chance, largest first.
-    pub(super) fn located(&self) -> Vec<Located> {
-        let mut cells: Vec<(usize, String, Vec<usize>)> = Vec::new();
+    /// Windows by joint and phase, where there are enough.
+    pub(super) fn cells(&self) -> Vec<Cell> {
+        let mut cells = Vec::new();
         for joint in 0..self.joints.len() {
             let speed = self.velocity.column(joint);
             let typical = (speed.norm_squared() / speed.len() as f64).sqrt();
@@ -184,19 +183,38 @@ impl Missing {
                         } else {
                             format!("{contact}, {way}, {name}")
                         };
-                        cells.push((joint, phase, inside));
+                        cells.push(Cell {
+                            joint,
+                            phase,
+                            inside,
+                        });
                     }
                 }
             }
         }
+        cells
+    }
+
+    /// Cells in which the mean is not chance but for what the model's own steps leave, nor what is missing as little as in
+    /// draws of `null`; largest first.
+    pub(super) fn located(&self, null: Option<&Null>) -> Vec<Located> {
+        let cells = self.cells();
         let tests = cells.len() as f64;
         let bands: Vec<Option<[f64; 2]>> = (0..self.joints.len())
             .map(|joint| band(&self.origin, self.force.column(joint).as_slice()))
             .collect();
-        let mut out: Vec<Located> = (cells.into_iter())
-            .map(|(joint, phase, inside)| Located {
-                band_hz: bands[joint],
-                ..self.cell(joint, phase, &inside, tests)
+        let (chances, steps) = match null {
+            Some(null) => (null.chances(&self.force, &cells), Some(&null.steps)),
+            None => (vec![0.0; cells.len()], None),
+        };
+        let mut out: Vec<Located> = (cells.iter().zip(chances))
+            .map(|(cell, by_size)| {
+                let own = self.cell(cell, steps, tests);
+                Located {
+                    band_hz: bands[cell.joint],
+                    p_value: own.p_value.max(by_size),
+                    ..own
+                }
             })
             .filter(|l| l.p_value < LEVEL)
             .collect();
@@ -204,40 +222,74 @@ impl Missing {
         out
     }
 
-    fn cell(&self, joint: usize, phase: String, inside: &[usize], tests: f64) -> Located {
-        let values: Vec<f64> = inside.iter().map(|&w| self.force[(w, joint)]).collect();
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let rms = (values.iter().map(|v| v * v).sum::<f64>() / n).sqrt();
-        let mut sums: Vec<(usize, f64, f64)> = Vec::new();
-        for (&w, v) in inside.iter().zip(&values) {
-            match sums.iter_mut().find(|s| s.0 == self.stretch_of[w]) {
-                Some(s) => (s.1, s.2) = (s.1 + v - mean, s.2 + 1.0),
-                None => sums.push((self.stretch_of[w], v - mean, 1.0)),
-            }
-        }
-        let groups = sums.len() as f64;
-        let variance =
-            sums.iter().map(|s| s.1 * s.1).sum::<f64>() * groups / (groups - 1.0) / (n * n);
-        let p = if groups < 3.0 {
-            1.0
-        } else {
-            two_sided(mean / variance.sqrt(), groups - 1.0)
-        };
-        let size = |w: &&usize| self.force[(**w, joint)].abs();
+    fn cell(&self, cell: &Cell, steps: Option<&DMatrix<f64>>, tests: f64) -> Located {
+        let (joint, inside) = (cell.joint, &cell.inside);
+        let force = |w: usize| self.force[(w, joint)];
+        let by_steps = |w: usize| steps.map_or(0.0, |steps| steps[(w, joint)]);
+        let size = |w: &&usize| force(**w).abs();
         let most = (inside.iter()).max_by(|a, b| size(a).total_cmp(&size(b)));
+        let p = self.chance(inside, &|w| force(w) - by_steps(w));
         Located {
             channel: self.joints[joint].clone(),
-            phase,
-            effect_size: rms,
-            mean,
+            phase: cell.phase.clone(),
+            effect_size: cell.rms(&self.force),
+            mean: inside.iter().map(|&w| force(w)).sum::<f64>() / inside.len() as f64,
             unit: self.units[joint].to_owned(),
             p_value: (p * tests).min(1.0),
-            n: values.len(),
+            n: inside.len(),
             band_hz: None,
             most_at: most.map(|&w| self.names[w].clone()),
         }
     }
+
+    /// Probability that the mean of `value` over windows is that far from 0 by chance, by how it varies between stretches.
+    fn chance(&self, inside: &[usize], value: &dyn Fn(usize) -> f64) -> f64 {
+        let n = inside.len() as f64;
+        let mean = inside.iter().map(|&w| value(w)).sum::<f64>() / n;
+        let mut sums: BTreeMap<usize, f64> = BTreeMap::new();
+        for &w in inside {
+            *sums.entry(self.stretch_of[w]).or_default() += value(w) - mean;
+        }
+        let groups = sums.len() as f64;
+        if groups < 3.0 {
+            return 1.0;
+        }
+        let squares: f64 = sums.values().map(|sum| sum * sum).sum();
+        let variance = squares * groups / (groups - 1.0) / (n * n);
+        two_sided(mean / variance.sqrt(), groups - 1.0)
+    }
+}
+
+/// Joints whose forces are told, with their columns: those with motors where there are any.
+fn joints(model: &Model, screen: &Screen) -> Vec<(String, usize)> {
+    let mut own: Vec<(String, usize)> = (screen.candidates.iter())
+        .filter(|c| c.effect.about().name == "torque_offset")
+        .map(|c| (c.place.name.clone(), c.columns[0]))
+        .collect();
+    let driven = driven(model);
+    if own.iter().any(|(name, _)| driven.contains(name)) {
+        own.retain(|(name, _)| driven.contains(name));
+    }
+    own
+}
+
+/// What makes forces (joints) of the residuals of each window (rows): −(ΦᵀΦ)⁻¹ Φᵀ.
+pub(super) fn to_forces(model: &Model, screen: &Screen) -> Vec<DMatrix<f64>> {
+    let own = joints(model, screen);
+    let of = |(w, row): (usize, &Row)| {
+        let (n, m) = (row.residual.len(), own.len());
+        let phi = DMatrix::from_fn(n, m, |i, j| screen.columns[own[j].1].parts[w][i]);
+        let mut normal = phi.tr_mul(&phi);
+        for j in 0..m {
+            normal[(j, j)] *= 1.0 + RIDGE;
+            normal[(j, j)] += f64::MIN_POSITIVE;
+        }
+        match normal.cholesky() {
+            Some(factor) => -factor.solve(&phi.transpose()),
+            None => DMatrix::zeros(m, n),
+        }
+    };
+    screen.linear.rows.iter().enumerate().map(of).collect()
 }
 
 /// Names of the joints that motors drive.

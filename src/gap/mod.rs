@@ -34,6 +34,7 @@ mod lying;
 mod model;
 mod name;
 mod nudged;
+mod null;
 mod predict;
 mod pulse;
 mod repair;

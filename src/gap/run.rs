@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::effect::ModelFile;
 use super::inputs::{check_effects, excited, judged, same_channels};
 use super::locate::Missing;
+use super::null::Null;
 use super::result::{Answer, Remaining, Tested, Verdict};
 use super::screen::Screen;
 use super::search::{Limits, Search};
@@ -224,8 +225,10 @@ pub(super) fn at_length(
         let found = screened(search.screen(watch)?)?;
         watch.stage(Stage::Locate);
         let missing = Missing::new(&search.windows, &search.x, &found, &search.stretch_of)?;
+        let without = search.windows.without_steps(&search.x, &found.linear)?;
+        let null = Null::new(&search, &found, without.as_ref(), options.seed);
         let first = Screened {
-            located: missing.located(),
+            located: missing.located(Some(&null)),
             evidence: tested(&found),
             n_candidates: super::forward::tests(&found),
             remaining: search.remaining(&found.linear, found.motors.as_deref()),

@@ -26,7 +26,7 @@ use crate::sysid::shooting::simulate::Pool;
 /// 2 (r(h/2) − r(h)) of every window of a linearisation, weighed as its rows.
 pub(super) struct WithoutSteps<'l> {
     linear: &'l Linear,
-    changes: Vec<DVector<f64>>,
+    pub changes: Vec<DVector<f64>>,
 }
 
 impl Windows {

@@ -26,6 +26,11 @@ pub(super) fn part(fall: f64, worth: f64) -> f64 {
     1.0 - f64::exp(-2.0 * fall / worth)
 }
 
+/// Fall of the cost of deviations that are worth so many numbers, below which an effect does not count.
+pub(super) fn least_fall(worth: f64) -> f64 {
+    -0.5 * worth * f64::ln(1.0 - LEAST)
+}
+
 /// Number of candidates that could be found.
 pub(super) fn tests(all: &[Candidate]) -> usize {
     all.iter().filter(|c| c.visible >= LEAST_VISIBLE).count()
@@ -144,7 +149,11 @@ pub(super) fn forward(
 ///
 /// # Errors
 /// The engine fails.
-fn without(judge: &Judge<'_>, present: &Fitted, i: usize) -> Result<Option<Fitted>, GapError> {
+pub(super) fn without(
+    judge: &Judge<'_>,
+    present: &Fitted,
+    i: usize,
+) -> Result<Option<Fitted>, GapError> {
     let free = present.machine.built.free(&present.machine.problem);
     let gone: Vec<usize> = free.iter().filter(|f| f.1 == i).map(|f| f.0).collect();
     let mut written = present.point.written.clone();

@@ -1,9 +1,10 @@
 //! Effects that are given instead of searched for, by pulled simulations.
 
+use super::forward::without;
 use super::judge::{Judge, Problems};
 use super::refit::Fitted;
 use super::{STRETCH, begin, held, pulls, screen, settled};
-use crate::gap::given::Oracle;
+use crate::gap::given::{Oracle, least};
 use crate::gap::result::Gap;
 use crate::gap::run::Input;
 use crate::gap::stages::Keeper;
@@ -24,8 +25,8 @@ pub(in crate::gap) fn with_effects(
     let Some(fitted) = fitted(&judge, &base, effects, watch)? else {
         return Ok(None);
     };
-    let fall = base.cost - fitted.cost;
-    let (fitted, _) = settled(&mut judge, fitted)?;
+    let detectability = detectability(&judge, &base, &fitted)?;
+    let (fitted, _) = settled(&mut judge, fitted, watch)?;
     let after = held(&judge, &fitted, length_s)?;
     let holdout = before.zip(after).map(|gap| pulls(hz, gap));
     Ok(Some(Oracle {
@@ -33,8 +34,24 @@ pub(in crate::gap) fn with_effects(
             holdout,
             ..Gap::default()
         },
-        detectability: (2.0 * fall).max(0.0).sqrt(),
+        detectability,
     }))
+}
+
+/// See [`Oracle::detectability`].
+fn detectability(
+    judge: &Judge<'_>,
+    base: &Fitted,
+    fitted: &Fitted,
+) -> Result<Option<f64>, GapError> {
+    let n = fitted.point.written.len();
+    let costs: Vec<Option<f64>> = if n == 1 {
+        vec![Some(base.cost)]
+    } else {
+        let each = (0..n).map(|i| Ok(without(judge, fitted, i)?.map(|f| f.cost)));
+        each.collect::<Result<_, GapError>>()?
+    };
+    Ok(least(fitted.cost, costs))
 }
 
 /// The base model with all effects, fitted from what is expected of each alone; none where one of them cannot act or be said.

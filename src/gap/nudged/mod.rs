@@ -53,9 +53,9 @@ pub(super) use suits::{USUAL_HZ, is_pushing, longer_steps};
 /// s of the stretches that missing forces are means over, in periods of the pull.
 const STRETCH: f64 = 0.5;
 
-/// Steps before each of which pulls are led anew, once an effect is put in. More would confirm what they begin with, for
-/// pulls that a model has led supply what it lacks.
-const LED: usize = 3;
+/// Steps once an effect is put in, at most, and those of them whose scatter belongs to intervals.
+const MOST: usize = 10;
+const LAST: usize = 3;
 
 /// The base model's numbers.
 #[derive(Clone, Serialize, Deserialize)]
@@ -146,10 +146,10 @@ pub(super) fn resume(
         if let Some((fitted, evidence)) = more {
             kept.push(evidence);
             let mut next;
-            (next, tries) = settled(&mut judge, fitted)?;
+            (next, tries) = settled(&mut judge, fitted, watch)?;
             while let Some((i, fitted)) = forward::needless(&judge, &next)? {
                 kept.remove(i);
-                (next, tries) = settled(&mut judge, fitted)?;
+                (next, tries) = settled(&mut judge, fitted, watch)?;
             }
             found = Some(next);
         }
@@ -218,7 +218,7 @@ pub(super) fn resume(
          pushes (--window)"
     ));
     let untestable = untestable(&screened);
-    let located: Vec<Located> = before.located();
+    let located: Vec<Located> = before.located(None);
     let law = left::law(&rest);
     let verdict = match &named.effects[..] {
         _ if law => Verdict::Unknown,
@@ -298,29 +298,48 @@ fn linearised(judge: &mut Judge<'_>, point: Point) -> Result<Fitted, GapError> {
     Ok(judge.fitted(machine, point, ensemble))
 }
 
-/// The same with all numbers of a fitted model fitted again, to pulls that are led by it: the best of some steps, for where
-/// nothing more is told they go anywhere; and the numbers in all of these.
-fn settled(judge: &mut Judge<'_>, fitted: Fitted) -> Result<(Fitted, Vec<Vec<f64>>), GapError> {
+/// The same with all numbers of a fitted model fitted again, by slopes and pulls of each step's own, until an effect could
+/// not count for what more steps take off; and the numbers of the last steps. With slopes of the model without the effect a
+/// length that had stood for it stays where it was, and looks like an effect itself.
+///
+/// # Errors
+/// The engine fails; the search is stopped.
+fn settled(
+    judge: &mut Judge<'_>,
+    fitted: Fitted,
+    watch: &mut Watch<'_>,
+) -> Result<(Fitted, Vec<Vec<f64>>), GapError> {
     judge.settled = fitted.point.written.len();
-    let known = fitted.ensemble.slopes;
-    let mut point = fitted.point;
-    let mut best = (f64::INFINITY, point.clone());
-    let mut tries = Vec::with_capacity(LED);
-    for _ in 0..LED {
-        let machine = judge.build(&point.written).ok_or_else(broken)?;
-        judge.lead(&machine, &point.x)?;
-        let ensemble = judge.look(&machine, &point, (&known, 0))?;
-        let fitted = judge.fitted(machine, point, ensemble);
-        tries.push(fitted.point.x.clone());
-        point = Point {
-            x: judge.step(&fitted),
-            written: fitted.point.written.clone(),
+    let little = forward::least_fall(judge.worth());
+    let mut now = linearised(judge, fitted.point)?;
+    let mut tries = vec![now.point.x.clone()];
+    for step in 0..MOST {
+        watch.part(step, MOST);
+        watch.go_on()?;
+        let point = Point {
+            x: judge.step(&now),
+            written: now.point.written.clone(),
         };
-        if fitted.cost < best.0 {
-            best = (fitted.cost, fitted.point);
+        let fall = match linearised(judge, point) {
+            Ok(next) if next.cost < now.cost + little => {
+                let fall = now.cost - next.cost;
+                tries.push(next.point.x.clone());
+                now = next;
+                fall
+            }
+            // pulls are led anew
+            Ok(_) | Err(GapError::Sysid(_) | GapError::Input { .. }) => {
+                now = linearised(judge, now.point)?;
+                0.0
+            }
+            Err(error) => return Err(error),
+        };
+        if fall < little {
+            break;
         }
     }
-    Ok((linearised(judge, best.1)?, tries))
+    let early = tries.len().saturating_sub(LAST);
+    Ok((now, tries.split_off(early)))
 }
 
 /// Missing forces of the training recordings.
