@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use phantom::mjcf;
 use phantom::mujoco::{Data, Integrator, Model, ObjectKind};
 use phantom::policy::AffineGaussian;
 use phantom::recording::Recording;
@@ -347,6 +348,33 @@ fn nothing_of_the_truth_is_in_what_a_recording_says_of_itself() {
             .collect::<Vec<_>>()
     };
     assert_eq!(of(&recording), of(&paper));
+}
+
+/// Its stiffness at the damping ratio it has, its damping ratio at that stiffness.
+#[test]
+fn contacts_are_harder_or_lossier_and_not_both() {
+    let contact = |effect: &str| {
+        let text = if effect.is_empty() {
+            String::new()
+        } else {
+            format!("[[effect]]\nname = \"{effect}\"\nwhere = \"object_table\"\nshare = 0.5\n")
+        };
+        let (model, _) = rig(config(&text)).true_model().expect("a model");
+        let pair = model.id(ObjectKind::Pair, "object_table").expect("a pair");
+        mjcf::edit::contact(&model, pair)
+    };
+    let (stiffness, damping) = contact("");
+    let close = |a: (f64, f64), b: (f64, f64)| {
+        assert!(
+            (a.0 / b.0 - 1.0).abs() < 1e-9 && (a.1 / b.1 - 1.0).abs() < 1e-9,
+            "{a:?} {b:?}"
+        );
+    };
+    close(
+        contact("contact_stiffness"),
+        (1.5 * stiffness, 1.5_f64.sqrt() * damping),
+    );
+    close(contact("contact_damping"), (stiffness, 1.5 * damping));
 }
 
 #[test]

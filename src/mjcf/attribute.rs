@@ -68,6 +68,8 @@ attributes! {
     "pair" "solimp" "pair_solimp" 5 positive "1" 1e-3;
     "pair" "stiffness" "" 1 positive "N/m" 1e3;
     "pair" "damping" "" 1 positive "N s/m" 1e1;
+    "pair" "hardness" "" 1 positive "N/m" 1e3;
+    "pair" "dampratio" "" 1 positive "1" 1e-1;
     "pair" "margin" "pair_margin" 1 signed "m" 1e-3;
     "pair" "gap" "pair_gap" 1 signed "m" 1e-3;
     "site" "pos" "site_pos" 3 signed "m" 1e-3;
@@ -113,6 +115,10 @@ pub enum Place {
     ContactStiffness(usize),
     /// damping of a contact pair, N s/m
     ContactDamping(usize),
+    /// stiffness of a contact pair, N/m; its damping ratio stays
+    ContactHardness(usize),
+    /// damping ratio of a contact pair; its stiffness stays
+    ContactRatio(usize),
     /// sliding friction of a contact pair in both directions, which keep their ratio
     Sliding(usize),
     /// distance of a body's origin from its parent's; the direction stays
@@ -291,6 +297,8 @@ fn place(model: &Model, attribute: &Attribute, id: usize, component: usize) -> P
         ("option", "tilt") => Place::Tilt(component),
         ("pair", "stiffness") => Place::ContactStiffness(id),
         ("pair", "damping") => Place::ContactDamping(id),
+        ("pair", "hardness") => Place::ContactHardness(id),
+        ("pair", "dampratio") => Place::ContactRatio(id),
         ("pair", "slide") => Place::Sliding(id),
         ("body", "length") => Place::Length(id),
         ("body", "geometry") => Place::Geometry(id),
@@ -368,7 +376,9 @@ fn without_effect(model: &Model, attribute: &Attribute, id: usize) -> Option<&'s
         ("geom", "size") if bounding_radius(model, id).is_none() => {
             Some("has a shape that is not made of its size")
         }
-        ("pair", "stiffness" | "damping") if pair_inverse_mass(model, id) <= 0.0 => {
+        ("pair", "stiffness" | "damping" | "hardness" | "dampratio")
+            if pair_inverse_mass(model, id) <= 0.0 =>
+        {
             Some("joins two bodies that cannot move")
         }
         _ => None,

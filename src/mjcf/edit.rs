@@ -55,7 +55,10 @@ impl Target {
     pub fn follows_constants(&self) -> bool {
         matches!(
             self.place,
-            Place::ContactStiffness(_) | Place::ContactDamping(_)
+            Place::ContactStiffness(_)
+                | Place::ContactDamping(_)
+                | Place::ContactHardness(_)
+                | Place::ContactRatio(_)
         )
     }
 
@@ -68,8 +71,9 @@ impl Target {
             Place::Mass(body) => model.body_mass()[body],
             Place::Gravity(component) => model.option().gravity[component],
             Place::Inertia(..) | Place::Rotation(..) | Place::Tilt(_) => 0.0,
-            Place::ContactStiffness(pair) => contact(model, pair).0,
+            Place::ContactStiffness(pair) | Place::ContactHardness(pair) => contact(model, pair).0,
             Place::ContactDamping(pair) => contact(model, pair).1,
+            Place::ContactRatio(pair) => damping_ratio(model, pair),
             Place::Sliding(pair) => model.pair_friction()[5 * pair],
             Place::Geometry(_) => 1.0,
             Place::Length(body) => norm(&model.body_pos()[3 * body..3 * body + 3]),
@@ -116,6 +120,14 @@ pub fn write(edit: &mut ModelEdit<'_>, targets: &[(&Target, f64)], constants_don
             Place::Tilt(axis) => tilt.get_or_insert([0.0; 3])[axis] = value,
             Place::ContactStiffness(pair) => set_stiffness(edit, pair, value),
             Place::ContactDamping(pair) => set_damping(edit, pair, value),
+            Place::ContactHardness(pair) => {
+                let ratio = damping_ratio(edit.model(), pair);
+                set_ratio(edit, pair, value, ratio);
+            }
+            Place::ContactRatio(pair) => {
+                let (stiffness, _) = contact(edit.model(), pair);
+                set_ratio(edit, pair, stiffness, value);
+            }
             Place::Sliding(pair) => {
                 let sliding = &mut edit.pair_friction()[5 * pair..5 * pair + 2];
                 let ratio = sliding[1] / sliding[0];
@@ -223,6 +235,13 @@ pub fn contact(model: &Model, pair: usize) -> (f64, f64) {
     (k * dmax * scale, damping * scale)
 }
 
+/// Damping ratio ζ of a contact pair, as in the first form of solref: b = 2 ζ √k in the units of [`contact`]'s formulas.
+fn damping_ratio(model: &Model, pair: usize) -> f64 {
+    let (dmax, scale) = engagement(model, pair);
+    let (stiffness, damping) = contact(model, pair);
+    0.5 * damping / scale / (stiffness / (dmax * scale)).sqrt()
+}
+
 /// dmax and dmax/((1 − dmax) w).
 fn engagement(model: &Model, pair: usize) -> (f64, f64) {
     let dmax = model.pair_solimp()[5 * pair + 1];
@@ -236,6 +255,12 @@ fn set_stiffness(edit: &mut ModelEdit<'_>, pair: usize, stiffness: f64) {
 
 fn set_damping(edit: &mut ModelEdit<'_>, pair: usize, damping: f64) {
     let (stiffness, _) = contact(edit.model(), pair);
+    set_contact(edit, pair, stiffness, damping);
+}
+
+fn set_ratio(edit: &mut ModelEdit<'_>, pair: usize, stiffness: f64, ratio: f64) {
+    let (dmax, scale) = engagement(edit.model(), pair);
+    let damping = 2.0 * ratio * (stiffness / (dmax * scale)).sqrt() * scale;
     set_contact(edit, pair, stiffness, damping);
 }
 

@@ -47,7 +47,11 @@ pub fn rewrite(
         let name = match target.attribute.name {
             // all that describes the mass of a body, and all that describes one contact, is written at once
             "mass" | "ipos" | "inertia" => "inertia",
-            "stiffness" | "damping" if target.attribute.kind == "pair" => "solref",
+            "stiffness" | "damping" | "hardness" | "dampratio"
+                if target.attribute.kind == "pair" =>
+            {
+                "solref"
+            }
             "tilt" => "gravity",
             "length" => "pos",
             "slide" => "friction",

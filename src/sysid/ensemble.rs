@@ -85,7 +85,10 @@ pub fn models(
             Place::Inertia(..) => &["body_mass", "body_ipos", "body_inertia", "body_iquat"],
             Place::Rotation(..) => &["body_quat"],
             Place::Gravity(_) | Place::Tilt(_) => &["gravity"],
-            Place::ContactStiffness(_) | Place::ContactDamping(_) => &["pair_solref"],
+            Place::ContactStiffness(_)
+            | Place::ContactDamping(_)
+            | Place::ContactHardness(_)
+            | Place::ContactRatio(_) => &["pair_solref"],
             Place::Sliding(_) => &["pair_friction"],
             Place::Length(_) => &["body_pos"],
             Place::Geometry(_) => &["geom_size", "geom_pos", "geom_rbound"],

@@ -164,6 +164,12 @@ fn stiffness_and_damping_of_a_contact() {
         let harder = with(&base, "contact_stiffness", place, &[1.0]).file;
         let ratio = depth(&base) / depth(&harder);
         assert!((ratio - 2.0).abs() < 0.02, "{pair}: {ratio}");
+        // critically damped as before: T = 0.02 s over √2
+        let solref = &harder.model.pair_solref()[..2];
+        let expected = [-2.0 / 0.02_f64.powi(2), -2.0 * 2_f64.sqrt() / 0.02];
+        for (own, expected) in solref.iter().zip(expected) {
+            assert!((own / expected - 1.0).abs() < 1e-9, "{pair}: {solref:?}");
+        }
         let lossy = with(&base, "contact_damping", place, &[1.0]).file;
         assert!(
             (depth(&base) / depth(&lossy) - 1.0).abs() < 1e-6,

@@ -190,6 +190,20 @@ fn contact_stiffness_is_force_over_penetration() {
     let edited = written(&model, &[(&stiffness, 5000.0), (&damping, 300.0)]);
     assert!((stiffness.value(&edited) - 5000.0).abs() < 1e-9);
     assert!((damping.value(&edited) - 300.0).abs() < 1e-9);
+    // stiffness and damping ratio instead, in either order; the compiler's default ratio is 1
+    let (hardness, ratio) = (find("hardness"), find("dampratio"));
+    assert!((ratio.value(&model) - 1.0).abs() < 1e-12);
+    let harder = written(&model, &[(&hardness, 5000.0)]);
+    assert!((ratio.value(&harder) - 1.0).abs() < 1e-12);
+    assert!((stiffness.value(&harder) - 5000.0).abs() < 1e-9);
+    let before = damping.value(&model) / stiffness.value(&model).sqrt();
+    assert!((damping.value(&harder) / 5000_f64.sqrt() / before - 1.0).abs() < 1e-12);
+    let both = [(&hardness, 5000.0), (&ratio, 0.7)];
+    for order in [both, [both[1], both[0]]] {
+        let edited = written(&model, &order);
+        assert!((hardness.value(&edited) - 5000.0).abs() < 1e-9);
+        assert!((ratio.value(&edited) - 0.7).abs() < 1e-12);
+    }
     let mut data = phantom::mujoco::Data::new(std::sync::Arc::new(edited)).expect("data");
     for _ in 0..5000 {
         data.step().expect("step");

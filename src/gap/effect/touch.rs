@@ -13,7 +13,7 @@ impl Effect for ContactStiffness {
     fn about(&self) -> &'static About {
         const ABOUT: About = About {
             name: "contact_stiffness",
-            law: "stiffness of a contact times 1 + s",
+            law: "stiffness of a contact times 1 + s, its damping ratio kept",
             shows: Shows::Contact,
             signature: "indentation that grows with the normal force",
             parameters: &[Parameter::amplitude("share", Dimension::Share, [0.1, 3.0]).signed()],
@@ -45,7 +45,7 @@ impl Effect for ContactStiffness {
     }
 
     fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
-        share(site, "stiffness", 0)
+        share(site, "hardness", 0)
     }
 }
 
@@ -57,7 +57,7 @@ impl Effect for ContactDamping {
     fn about(&self) -> &'static About {
         const ABOUT: About = About {
             name: "contact_damping",
-            law: "damping of a contact times 1 + s",
+            law: "damping ratio of a contact times 1 + s, its stiffness kept",
             shows: Shows::Contact,
             signature: "normal force in proportion to the speed of indentation: at impacts and releases",
             parameters: &[Parameter::amplitude("share", Dimension::Share, [0.1, 3.0]).signed()],
@@ -81,7 +81,7 @@ impl Effect for ContactDamping {
     }
 
     fn express(&self, site: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
-        share(site, "damping", 0)
+        share(site, "dampratio", 0)
     }
 }
 

@@ -181,9 +181,9 @@ catalogue! {
         [coefficient_m "m" 0.002 0.01 None;]
     FrictionCone "friction_cone" World "the other friction cone (1: changed)"
         [changed "1" 1.0 1.0 None;]
-    ContactStiffness "contact_stiffness" Contact "stiffness times 1 + s"
+    ContactStiffness "contact_stiffness" Contact "stiffness times 1 + s, the damping ratio kept"
         [share "1" 0.3 1.5 None;]
-    ContactDamping "contact_damping" Contact "damping ratio times 1 + s"
+    ContactDamping "contact_damping" Contact "damping ratio times 1 + s, the stiffness kept"
         [share "1" 0.3 1.5 None;]
     AnisotropicFriction "anisotropic_friction" Contact "friction of the second tangent times 1 + s"
         [share "1" 0.2 0.8 None;]

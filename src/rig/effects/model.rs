@@ -58,17 +58,21 @@ pub(in crate::rig) fn apply(edit: &mut ModelEdit<'_>, bound: &Bound) -> Result<(
                 ObjectKind::Pair => edit.pair_friction()[5 * id + 1] *= share,
                 _ => return Err("it needs explicit contact pairs in the model".to_owned()),
             },
-            // k = 1/(time constant)² and damping = ratio; negative numbers are -stiffness, -damping
+            // k ~ 1/(time constant × ratio)², damping ~ 1/time constant; negative numbers are -stiffness, -damping
             Effect::ContactStiffness => {
-                let [constant, _] = solref(edit, contact, id);
-                *constant *= if *constant > 0.0 {
-                    1.0 / share.sqrt()
+                let [constant, ratio] = solref(edit, contact, id);
+                if *constant > 0.0 {
+                    *constant /= share.sqrt();
                 } else {
-                    share
-                };
+                    *constant *= share;
+                    *ratio *= share.sqrt();
+                }
             }
             Effect::ContactDamping => {
-                let [_, ratio] = solref(edit, contact, id);
+                let [constant, ratio] = solref(edit, contact, id);
+                if *constant > 0.0 {
+                    *constant /= share;
+                }
                 *ratio *= share;
             }
             _ => {}
