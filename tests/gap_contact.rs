@@ -9,7 +9,7 @@ use phantom::compare::Settings;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::{Returned, Verdict};
 use phantom::gap::{self, Input, Kept, Options};
-use phantom::mujoco::{Data, Model};
+use phantom::mujoco::{Data, Model, ObjectKind};
 use phantom::recording::{Kind, Meta, Recording, Stream};
 use phantom::rng::{self, Purpose};
 use phantom::sysid::problem::ProblemConfig;
@@ -163,6 +163,10 @@ fn friction_under_a_pushed_block_is_named() {
     assert!(again.returned.iter().all(Returned::is_inside), "{again:?}");
     let repaired = Model::from_xml_str(&outcome.model).expect("loads");
     assert!((repaired.dof_frictionloss()[1] / level.value - 1.0).abs() < 1e-9);
+    // and the block stands where it does, whatever made up for its friction before
+    let block = repaired.id(ObjectKind::Body, "block").expect("a block");
+    let at = repaired.body_pos()[3 * block];
+    assert!((at - 0.05).abs() < 0.1 * OFF_M, "{at}");
 }
 
 #[test]

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
 
 use super::refit::Fitted;
 use crate::gap::GapError;
-use crate::gap::effect::ModelFile;
+use crate::gap::effect::{ModelFile, Place};
 use crate::gap::inputs::{judged, same_channels};
 use crate::gap::model::{Built, Chosen, Measured};
 use crate::gap::run::Input;
@@ -22,12 +23,14 @@ use crate::sysid::start;
 const CORRECTIONS: usize = 3;
 /// Simulations of a mean.
 const STILL: usize = 16;
-/// Part of its value by which an effect's number is moved to see what it does, of one that is being fitted and of one that
-/// nearly is: friction under which all sticks does no more than it has to, and what moves reach beyond that is not linear.
+/// Part of its value by which an effect's number is moved to see what it does, or of a third of the usual size.
 const MOVED: f64 = 0.3;
-const MOVED_LITTLE: f64 = 0.1;
-/// The least of the usual size.
+/// The same once it is nearly fitted: so many standard deviations, between these parts. Friction under which all sticks does
+/// no more than it has to, and what moves reach beyond that is not linear; slopes by moves much smaller than a number's
+/// standard deviation are chaos, which damps steps until the fit seems to have ended.
+const SIGMAS: f64 = 4.0;
 const LEAST_MOVED: f64 = 0.1;
+const MOST_MOVED: f64 = 1.0;
 
 /// Training and held-out recordings with the base model's parameters.
 pub(super) struct Problems {
@@ -73,6 +76,25 @@ pub(super) struct Machine {
     pub problem: Problem,
 }
 
+/// An effect's number that is nearly fitted.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Known {
+    name: String,
+    place: Place,
+    /// which of the effect's
+    parameter: usize,
+    /// by which it is moved
+    spread: f64,
+}
+
+impl Known {
+    fn is(&self, chosen: &Chosen, parameter: usize) -> bool {
+        self.name == chosen.effect.about().name
+            && self.place == chosen.place
+            && self.parameter == parameter
+    }
+}
+
 /// Judges models by simulations of the training recordings.
 pub(super) struct Judge<'a> {
     pub base: &'a ModelFile,
@@ -80,8 +102,8 @@ pub(super) struct Judge<'a> {
     pub measured: Measured,
     /// spreads of the base model's parameters
     pub spreads: Vec<f64>,
-    /// effects, the first of a model, whose numbers are nearly fitted
-    pub settled: usize,
+    /// effects' numbers that are nearly fitted
+    pub known: Vec<Known>,
     hz: f64,
     pub course: Course<'a>,
     held: Option<Course<'a>>,
@@ -107,7 +129,7 @@ impl<'a> Judge<'a> {
             rules: &input.config.parameter,
             measured: Measured::new(&problems.train, x, &motions)?,
             spreads: spreads.to_vec(),
-            settled: 0,
+            known: Vec::new(),
             hz,
             course: course(&problems.train)?,
             held: problems.held.as_ref().map(course).transpose()?,
@@ -151,8 +173,37 @@ impl<'a> Judge<'a> {
         Some((machine, Point { written, x }))
     }
 
-    /// Spreads of all numbers of a model: those of effects from their values.
+    /// Spreads of all numbers of a model: those of effects that are not known yet from their values.
     pub(super) fn spreads(&self, machine: &Machine, point: &Point) -> Vec<f64> {
+        let mut spreads = self.moves(machine, point, MOVED);
+        for (j, i, p, _) in machine.built.free(&machine.problem) {
+            if let Some(known) = self.known.iter().find(|k| k.is(&point.written[i], p)) {
+                spreads[j] = known.spread;
+            }
+        }
+        spreads
+    }
+
+    /// The effects' numbers at a fitted point, with spreads by how well they are known there.
+    pub(super) fn known(&self, fitted: &Fitted) -> Vec<Known> {
+        let (machine, point) = (&fitted.machine, &fitted.point);
+        let [low, high] = [LEAST_MOVED, MOST_MOVED].map(|part| self.moves(machine, point, part));
+        let Some(factor) = fitted.quadratic(self).normal.cholesky() else {
+            return Vec::new();
+        };
+        let covariance = factor.inverse();
+        let free = machine.built.free(&machine.problem).into_iter();
+        let known = free.map(|(j, i, parameter, _)| Known {
+            name: point.written[i].effect.about().name.to_owned(),
+            place: point.written[i].place.clone(),
+            parameter,
+            spread: (SIGMAS * covariance[(j, j)].sqrt()).clamp(low[j], high[j]),
+        });
+        known.collect()
+    }
+
+    /// Spreads of all numbers of a model, those of effects the part `moved` of their values.
+    fn moves(&self, machine: &Machine, point: &Point, moved: f64) -> Vec<f64> {
         let values = (machine.built).values(&machine.problem, &point.x, &point.written);
         let mut spreads = self.spreads.clone();
         spreads.resize(point.x.len(), 0.0);
@@ -164,12 +215,7 @@ impl<'a> Judge<'a> {
                 0.0 => parameter.high * parameter.scale(&scales),
                 typical => typical,
             };
-            let moved = if i < self.settled {
-                MOVED_LITTLE
-            } else {
-                MOVED
-            };
-            let size = (moved * chosen.values[p].abs()).max(moved / MOVED * LEAST_MOVED * usual);
+            let size = moved * chosen.values[p].abs().max(usual / 3.0);
             spreads[j] = size / slope.abs();
         }
         spreads
@@ -264,6 +310,7 @@ impl<'a> Judge<'a> {
         Self {
             measured: self.measured.clone(),
             spreads: self.spreads.clone(),
+            known: self.known.clone(),
             course: self.course.retold(more),
             held: None,
             ..*self

@@ -45,7 +45,7 @@ use super::{GapError, Stage, Watch, left, repair, verify};
 use crate::compare::Settings;
 use crate::sysid::nudging::{self, NudgingSettings};
 pub(super) use given::with_effects;
-use judge::{Judge, Point, Problems};
+use judge::{Judge, Known, Point, Problems};
 use refit::Fitted;
 use screen::{Candidate, LEAST_VISIBLE};
 pub(super) use suits::{USUAL_HZ, is_pushing, longer_steps};
@@ -69,6 +69,8 @@ struct Fit {
 struct Step {
     effects: Vec<(String, Place, Vec<f64>)>,
     x: Vec<f64>,
+    /// of the effects
+    known: Vec<Known>,
     /// all numbers in the steps of [`settled`]
     tries: Vec<Vec<f64>>,
     kept: Vec<Evidence>,
@@ -126,7 +128,7 @@ pub(super) fn resume(
         let stage = format!("nudged-{n}");
         let known: Option<Step> = stages::load(keeper, &stage);
         if let Some((point, step)) = known.and_then(|step| Some((step.point()?, step))) {
-            judge.settled = point.written.len();
+            judge.known.clone_from(&step.known);
             if step.ended {
                 break;
             }
@@ -164,6 +166,7 @@ pub(super) fn resume(
         let step = Step {
             effects: present.point.written.iter().map(effect).collect(),
             x: present.point.x.clone(),
+            known: judge.known.clone(),
             tries: tries.clone(),
             kept: kept.clone(),
             ended,
@@ -309,9 +312,10 @@ fn settled(
     fitted: Fitted,
     watch: &mut Watch<'_>,
 ) -> Result<(Fitted, Vec<Vec<f64>>), GapError> {
-    judge.settled = fitted.point.written.len();
     let little = forward::least_fall(judge.worth());
+    judge.known.clear();
     let mut now = linearised(judge, fitted.point)?;
+    judge.known = judge.known(&now);
     let mut tries = vec![now.point.x.clone()];
     for step in 0..MOST {
         watch.part(step, MOST);
