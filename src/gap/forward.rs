@@ -12,7 +12,7 @@
 use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
-use super::held_out::{both, falls};
+use super::held_out::{both, falls, most_falls, unexplained};
 use super::score::Score;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{Fitted, Search};
@@ -33,14 +33,12 @@ const FEW_ITERATIONS: usize = 3;
 const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
 pub(super) const OF_USE: f64 = 0.05;
-/// Part of the cost, and of that of the held-out recordings, that a small effect takes off them at least.
+/// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
 const MUCH: f64 = 0.2;
 /// Part of the least size that fitted parameters do not explain.
 const OWN: f64 = 0.1;
 /// Chance in the recordings that are fitted, times the number of candidates, above which held-out ones do not count.
 const LIKELY_STILL: f64 = 0.05;
-/// Part of the cost that noise is not taken to explain, whatever it is told to be.
-const UNEXPLAINED: f64 = 0.1;
 
 impl Search<'_> {
     /// Candidates that are worth a place in the model by the screen alone, best first.
@@ -78,8 +76,7 @@ impl Search<'_> {
     pub(super) fn unexplained(&self, screen: &Screen) -> f64 {
         let rows = screen.linear.rows.iter().flat_map(|row| &row.channel);
         let noise: f64 = rows.map(|&c| 0.5 * self.noise_square(c)).sum();
-        let cost = screen.normal.cost();
-        (cost - noise).max(UNEXPLAINED * cost)
+        unexplained(screen.normal.cost(), noise)
     }
 
     /// Fits the candidates that promise most, and keeps the best that stands. `false`: none does.
@@ -140,8 +137,7 @@ impl Search<'_> {
                 continue;
             }
             let held = self.held(&own.built, &own.windows, &own.x)?;
-            let falls = |part: f64| falls(held_before.as_ref(), held.as_ref(), part);
-            if !falls(OF_USE) {
+            if !falls(held_before.as_ref(), held.as_ref(), OF_USE) {
                 continue;
             }
             let mut then = self.settled_with(own.clone(), watch)?;
@@ -155,7 +151,7 @@ impl Search<'_> {
                 // few blocks say little: they take nothing away
                 evidence.p_value = both(evidence.p_value, chance).min(evidence.p_value);
             }
-            let much = gain >= MUCH && falls(MUCH);
+            let much = gain >= MUCH && most_falls(held_before.as_ref(), held.as_ref(), MUCH);
             if self.limits.significant(evidence.p_value)
                 && (self.limits.large(evidence.size) || much)
             {

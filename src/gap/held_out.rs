@@ -20,12 +20,16 @@ use crate::sysid::SysidError;
 
 /// Blocks, about.
 const BLOCKS: usize = 16;
+/// Part of the cost that noise is not taken to explain.
+const UNEXPLAINED: f64 = 0.1;
 
 /// Costs of held-out windows.
 #[derive(Debug)]
 pub(super) struct Held {
     /// of all, and of priors
     pub cost: f64,
+    /// that the noise of the sensors explains
+    noise: f64,
     /// of every window
     each: Vec<f64>,
     block_of: Vec<usize>,
@@ -45,6 +49,19 @@ impl Held {
 /// Whether held-out recordings cost the part `part` less `after` than `before`; they have no say where there are none.
 pub(super) fn falls(before: Option<&Held>, after: Option<&Held>, part: f64) -> bool {
     before.is_none_or(|before| after.is_some_and(|after| after.cost < (1.0 - part) * before.cost))
+}
+
+/// The same of what noise does not explain of the cost: motions that show little of an effect are mostly noise.
+pub(super) fn most_falls(before: Option<&Held>, after: Option<&Held>, part: f64) -> bool {
+    before.is_none_or(|before| {
+        let whole = unexplained(before.cost, before.noise);
+        after.is_some_and(|after| before.cost - after.cost > part * whole)
+    })
+}
+
+/// What is not noise of a cost, of which noise is not taken to explain all, whatever it is told to be.
+pub(super) fn unexplained(cost: f64, noise: f64) -> f64 {
+    (cost - noise).max(UNEXPLAINED * cost)
 }
 
 /// Of a sum of the ranks of all that fell like that of `falls`, or more, were either sign of each as likely.
@@ -91,18 +108,23 @@ impl Search<'_> {
         };
         held.problem = windows.held(&problem, x);
         // as the present model's, whichever is looked at
-        for own in &self.windows.problem.channels {
-            let same = (held.problem.channels.iter_mut()).find(|c| c.name == own.name);
-            if let Some(channel) = same {
+        let mut square = vec![0.0; held.problem.channels.len()];
+        for (c, own) in self.windows.problem.channels.iter().enumerate() {
+            let mut each = held.problem.channels.iter_mut().zip(&mut square);
+            if let Some((channel, square)) = each.find(|(channel, _)| channel.name == own.name) {
                 channel.sigma = own.sigma;
+                *square = self.noise_square(c);
             }
         }
+        let samples = held.problem.trials.iter().flat_map(|t| &t.samples);
+        let noise = samples.map(|s| 0.5 * square[s.channel]).sum();
         held.factor = windows.factor;
         let whole = held.len();
         let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
         match held.fit(&[], ITERATIONS, &mut |_| true) {
             Ok(fit) if held.len() == whole => Ok(Some(Held {
                 cost: fit.cost + windows.problem.parameters.prior_cost(x),
+                noise,
                 each: fit.each,
                 block_of: stretches(&recording, BLOCKS),
             })),
@@ -127,6 +149,25 @@ mod tests {
         assert!((chance(&[3.0, -2.0, 1.0, 4.0, 5.0]) - 3.0 / 32.0).abs() < 1e-12);
         assert!((chance(&[-1.0, -2.0]) - 1.0).abs() < 1e-12);
         assert!((chance(&[]) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_mostly_noise_falls_by_what_is_not() {
+        let held = |cost| Held {
+            cost,
+            noise: 8.0,
+            each: Vec::new(),
+            block_of: Vec::new(),
+        };
+        let before = held(20.0);
+        let both = |after| {
+            let after = held(after);
+            [falls, most_falls].map(|fall| fall(Some(&before), Some(&after), 0.2))
+        };
+        assert_eq!(both(17.5), [false, true]);
+        assert_eq!(both(17.7), [false, false]);
+        assert!(most_falls(None, None, 0.2) && !most_falls(Some(&before), None, 0.2));
+        assert!((unexplained(20.0, 19.5) - 2.0).abs() < 1e-12);
     }
 
     #[test]
