@@ -57,9 +57,7 @@ impl Limits {
 
 /// Iterations of a fit after a small change.
 pub(super) const ITERATIONS: usize = 12;
-/// Fits after which channels are weighed anew.
-const WEIGHINGS: usize = 2;
-/// Iterations of those.
+/// Iterations where weights are far from what they will be.
 const ROUGH_ITERATIONS: usize = 5;
 /// Iterations of the first fit.
 const FIRST_ITERATIONS: usize = 40;
@@ -96,7 +94,8 @@ pub(super) struct Search<'a> {
 
 impl<'a> Search<'a> {
     /// Fits the base model, channels weighed by what is left of them, see [`Windows::weigh`]: parameters that would have
-    /// to explain missing physics do not leave what their priors allow.
+    /// to explain missing physics do not leave what their priors allow. The first fit, as if all but noise were explained,
+    /// only says how much is left at most; what it makes of the parameters is nothing to go on from.
     ///
     /// # Errors
     /// See [`Windows::fit`].
@@ -109,14 +108,16 @@ impl<'a> Search<'a> {
         let noise: Vec<f64> = windows.problem.channels.iter().map(|c| c.sigma).collect();
         let start = windows.problem.parameters.start();
         windows.choose_step(&start)?;
-        let mut x = start.clone();
-        for _ in 0..WEIGHINGS {
-            x = windows
-                .fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?
-                .x;
-            windows.weigh(&x, &noise)?;
-        }
-        let fit = windows.fit(&x, FIRST_ITERATIONS, &mut |i| watch.fit(i))?;
+        let rough = windows.fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?;
+        windows.weigh(&rough.x, &noise)?;
+        let fit = windows.fit_weighed((&start, &noise), |windows, x, rough| {
+            let most = if rough {
+                ROUGH_ITERATIONS
+            } else {
+                FIRST_ITERATIONS
+            };
+            windows.fit(x, most, &mut |i| watch.fit(i))
+        })?;
         Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
     }
 
@@ -179,9 +180,11 @@ impl<'a> Search<'a> {
     /// The engine refuses a number.
     pub(super) fn settle(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
         self.windows.weigh(&self.x, &self.noise)?;
-        let fit = self
-            .windows
-            .fit(&self.x, ITERATIONS, &mut watch.fit_nearly())?;
+        let now = (&*self.x, &*self.noise);
+        let fit = (self.windows).fit_weighed(now, |windows, x, rough| {
+            let most = if rough { ROUGH_ITERATIONS } else { ITERATIONS };
+            windows.fit(x, most, &mut watch.fit_nearly())
+        })?;
         self.chosen = self
             .built
             .values(&self.windows.problem, &fit.x, &self.chosen);

@@ -108,7 +108,7 @@ impl WithoutSteps<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::sync::Arc;
 
     use super::*;
@@ -123,21 +123,22 @@ mod tests {
       <worldbody>
         <body>
           <inertial pos="0 0 -0.3" mass="0.4" diaginertia="0.004 0.004 0.004"/>
-          <joint name="hinge" axis="0 1 0" damping="0.05"/>
+          <joint name="hinge" axis="0 1 0" damping="0.05" armature="0.01"/>
         </body>
       </worldbody>
       <actuator><motor name="drive" joint="hinge"/></actuator>
       <sensor><jointpos name="angle" joint="hinge"/></sensor>
     </mujoco>"#;
 
-    fn model(step_s: &str) -> Arc<Model> {
+    pub(in crate::gap) fn model(step_s: &str) -> Arc<Model> {
         let xml = MACHINE.replace("STEP", step_s);
         Arc::new(Model::from_xml_text(&xml, "machine.xml").expect("a model"))
     }
 
-    /// Cost without steps of 4 ms less that with them, of a machine that moves in `inner` of them.
-    fn cost_of_steps(machine: &Arc<Model>, inner: usize, command: &str) -> f64 {
-        const STEP_S: f64 = 0.004;
+    const STEP_S: f64 = 0.004;
+
+    /// What a machine does that moves in `inner` steps to 4 ms.
+    pub(in crate::gap) fn driven(machine: &Arc<Model>, inner: usize) -> Recording {
         let mut data = Data::new(Arc::clone(machine)).expect("data");
         let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
             name: name.into(),
@@ -159,10 +160,15 @@ mod tests {
                 data.step().expect("a step");
             }
         }
-        let recording = Recording {
+        Recording {
             meta: Meta::default(),
             streams: vec![stream],
-        };
+        }
+    }
+
+    /// Cost without steps of 4 ms less that with them, of a machine that moves in `inner` of them.
+    fn cost_of_steps(machine: &Arc<Model>, inner: usize, command: &str) -> f64 {
+        let recording = driven(machine, inner);
         let config: ProblemConfig =
             toml::from_str(&format!("command = \"{command}\"")).expect("a configuration");
         let all = [("one".to_owned(), recording)];

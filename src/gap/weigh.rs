@@ -11,23 +11,52 @@
 //!
 //! with n parameters, one g a stretch. Where nothing is missing, κ is 1.
 //!
+//! What is left depends on the fit, and the fit on the weights: a fit from afar leaves much, and channels that weigh little
+//! leave parameters where their priors have them. Both are made again while weights are far from what is left.
+//!
 //! Reference: Ribatet, Cooley and Davison 2012, "Bayesian inference from composite likelihoods" (magnitude adjustment).
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
+use super::fit::Fitted;
 use super::score;
 use super::windows::Windows;
 use crate::sysid::SysidError;
 
 /// Part of the largest information below which a direction says nothing.
 const LEAST: f64 = 1e-8;
+/// Times that channels are weighed anew, at most.
+const WEIGHINGS: usize = 8;
+/// Factor by which a weight changes, from which on it is far from what it will be.
+const FAR: f64 = 2.0;
 
 impl Windows {
-    /// Sets the standard deviations of channels at parameters `x`, where their sensors have `noise`.
+    /// Fits from `x` on until weights are near what is left; `fit` is told from where, and whether weights are still far off.
+    ///
+    /// # Errors
+    /// The engine refuses a number; of `fit`.
+    pub(super) fn fit_weighed(
+        &mut self,
+        (x, noise): (&[f64], &[f64]),
+        mut fit: impl FnMut(&mut Self, &[f64], bool) -> Result<Fitted, SysidError>,
+    ) -> Result<Fitted, SysidError> {
+        let mut fitted = fit(self, x, true)?;
+        for _ in 0..WEIGHINGS {
+            let change = self.weigh(&fitted.x, noise)?;
+            fitted = fit(self, &fitted.x, change >= FAR)?;
+            if change < FAR {
+                break;
+            }
+        }
+        Ok(fitted)
+    }
+
+    /// Sets the standard deviations of channels at parameters `x`, where their sensors have `noise`. The largest factor by
+    /// which one changes.
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<(), SysidError> {
+    pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<f64, SysidError> {
         let linear = self.linearise(x)?;
         let mut squares = vec![(0.0, 0.0_f64); self.problem.channels.len()];
         for row in &linear.rows {
@@ -53,10 +82,13 @@ impl Windows {
             gradients[*stretch].gemv_tr(1.0, &slopes, &residual, 1.0);
         }
         let spread = repetition(information, &gradients).max(1.0).sqrt();
+        let mut change = 1.0_f64;
         for ((channel, rms), noise) in (self.problem.channels.iter_mut()).zip(rms).zip(noise) {
-            channel.sigma = noise.max(channel.sigma * rms * spread);
+            let sigma = noise.max(channel.sigma * rms * spread);
+            change = change.max(sigma / channel.sigma).max(channel.sigma / sigma);
+            channel.sigma = sigma;
         }
-        Ok(())
+        Ok(change)
     }
 }
 
@@ -95,6 +127,35 @@ fn repetition(mut information: DMatrix<f64>, gradients: &[DVector<f64>]) -> f64 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::step::tests::{driven, model};
+    use crate::sysid::problem::{Problem, ProblemConfig};
+
+    /// An armature 10 % off, as its prior allows, and channels that are taken to be a thousand times too coarse.
+    #[test]
+    fn weights_do_not_stay_where_a_fit_from_afar_has_them() {
+        let machine = model("0.004");
+        let config = "command = \"held\"
+            [[parameter]]
+            element = \"joint/hinge\"
+            attribute = \"armature\"
+            start = 0.011
+            prior = 0.011
+            prior_sigma = 0.1";
+        let config: ProblemConfig = toml::from_str(config).expect("a configuration");
+        let all = [("one".to_owned(), driven(&machine, 1))];
+        let problem = Problem::new(machine, &config, &all).expect("a problem");
+        let mut windows = Windows::cut(&problem, &[], 0.4, 100).expect("windows");
+        let noise = [windows.problem.channels[0].sigma];
+        windows.problem.channels[0].sigma *= 1000.0;
+        let start = windows.problem.parameters.start();
+        let fitted = windows.fit_weighed((&start, &noise), |windows, x, _| {
+            windows.fit(x, 20, &mut |_| true)
+        });
+        let x = fitted.expect("a fit").x;
+        let armature = windows.problem.parameters.values(&x)[0];
+        assert!((armature / 0.01 - 1.0).abs() < 1e-3, "{armature}");
+        assert!(windows.weigh(&x, &noise).expect("weights") < FAR);
+    }
 
     #[test]
     fn samples_that_say_the_same_count_once() {
