@@ -12,7 +12,7 @@
 //! several places is one effect in the count of those that are looked for.
 
 use super::evidence::{Evidence, Standing};
-use super::forward::{OF_USE, tests};
+use super::forward::{of_use, tests};
 use super::held_out::{Held, falls};
 use super::screen::{Candidate, Screen};
 use super::search::{ITERATIONS, Search};
@@ -100,7 +100,7 @@ impl Search<'_> {
             return Ok(None);
         }
         let after = self.held(&fitted.built, &fitted.windows, &fitted.x)?;
-        if !falls(held, after.as_ref(), OF_USE) {
+        if !falls(held, after.as_ref(), of_use) {
             return Ok(None);
         }
         let then = self.settled_with(fitted, watch)?;

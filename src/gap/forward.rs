@@ -12,7 +12,7 @@
 use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
-use super::held_out::{both, falls, most_falls, unexplained};
+use super::held_out::{Held, both, falls, unexplained};
 use super::score::Score;
 use super::screen::{Candidate, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{Fitted, Search};
@@ -32,7 +32,7 @@ const NEAR: f64 = 0.2;
 const FEW_ITERATIONS: usize = 3;
 const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
-pub(super) const OF_USE: f64 = 0.05;
+const OF_USE: f64 = 0.05;
 /// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
 const MUCH: f64 = 0.2;
 /// Part of the least size that fitted parameters do not explain.
@@ -137,7 +137,8 @@ impl Search<'_> {
                 continue;
             }
             let held = self.held(&own.built, &own.windows, &own.x)?;
-            if !falls(held_before.as_ref(), held.as_ref(), OF_USE) {
+            let falls = |least: fn(&Held) -> f64| falls(held_before.as_ref(), held.as_ref(), least);
+            if !falls(of_use) {
                 continue;
             }
             let mut then = self.settled_with(own.clone(), watch)?;
@@ -151,7 +152,7 @@ impl Search<'_> {
                 // few blocks say little: they take nothing away
                 evidence.p_value = both(evidence.p_value, chance).min(evidence.p_value);
             }
-            let much = gain >= MUCH && most_falls(held_before.as_ref(), held.as_ref(), MUCH);
+            let much = gain >= MUCH && falls(|held| MUCH * held.unexplained());
             if self.limits.significant(evidence.p_value)
                 && (self.limits.large(evidence.size) || much)
             {
@@ -184,6 +185,11 @@ impl Search<'_> {
         }
         rivals
     }
+}
+
+/// What an effect takes off the held-out recordings' cost at least.
+pub(super) fn of_use(held: &Held) -> f64 {
+    OF_USE * held.cost
 }
 
 /// Candidates that anything can be seen of: so many tests.

@@ -36,6 +36,11 @@ pub(super) struct Held {
 }
 
 impl Held {
+    /// Cost that the noise of the sensors does not explain: motions that show little of an effect are mostly noise.
+    pub(super) fn unexplained(&self) -> f64 {
+        unexplained(self.cost, self.noise)
+    }
+
     /// Chance of so much less than `before`.
     pub(super) fn chance(&self, before: &Self) -> f64 {
         let mut falls = vec![0.0; self.block_of.iter().max().map_or(0, |b| b + 1)];
@@ -46,17 +51,14 @@ impl Held {
     }
 }
 
-/// Whether held-out recordings cost the part `part` less `after` than `before`; they have no say where there are none.
-pub(super) fn falls(before: Option<&Held>, after: Option<&Held>, part: f64) -> bool {
-    before.is_none_or(|before| after.is_some_and(|after| after.cost < (1.0 - part) * before.cost))
-}
-
-/// The same of what noise does not explain of the cost: motions that show little of an effect are mostly noise.
-pub(super) fn most_falls(before: Option<&Held>, after: Option<&Held>, part: f64) -> bool {
-    before.is_none_or(|before| {
-        let whole = unexplained(before.cost, before.noise);
-        after.is_some_and(|after| before.cost - after.cost > part * whole)
-    })
+/// Whether held-out recordings cost less `after` than `before`, by more than `least` makes of these; they have no say where
+/// there are none.
+pub(super) fn falls(
+    before: Option<&Held>,
+    after: Option<&Held>,
+    least: impl Fn(&Held) -> f64,
+) -> bool {
+    before.is_none_or(|before| after.is_some_and(|after| after.cost < before.cost - least(before)))
 }
 
 /// What is not noise of a cost, of which noise is not taken to explain all, whatever it is told to be.
@@ -160,13 +162,19 @@ mod tests {
             block_of: Vec::new(),
         };
         let before = held(20.0);
+        let of_all = |held: &Held| 0.2 * held.cost;
+        let of_rest = |held: &Held| 0.2 * held.unexplained();
         let both = |after| {
             let after = held(after);
-            [falls, most_falls].map(|fall| fall(Some(&before), Some(&after), 0.2))
+            let before = Some(&before);
+            [
+                falls(before, Some(&after), of_all),
+                falls(before, Some(&after), of_rest),
+            ]
         };
         assert_eq!(both(17.5), [false, true]);
         assert_eq!(both(17.7), [false, false]);
-        assert!(most_falls(None, None, 0.2) && !most_falls(Some(&before), None, 0.2));
+        assert!(falls(None, None, of_rest) && !falls(Some(&before), None, of_rest));
         assert!((unexplained(20.0, 19.5) - 2.0).abs() < 1e-12);
     }
 

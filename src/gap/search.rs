@@ -17,6 +17,7 @@ use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
 use super::screen::{Look, Screen};
+use super::weigh::ROUGH_ITERATIONS;
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 use crate::sysid::SysidError;
@@ -57,8 +58,6 @@ impl Limits {
 
 /// Iterations of a fit after a small change.
 pub(super) const ITERATIONS: usize = 12;
-/// Iterations where weights are far from what they will be.
-const ROUGH_ITERATIONS: usize = 5;
 /// Iterations of the first fit.
 const FIRST_ITERATIONS: usize = 40;
 /// Iterations before shapes of a new effect are freed.
@@ -110,12 +109,8 @@ impl<'a> Search<'a> {
         windows.choose_step(&start)?;
         let rough = windows.fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?;
         windows.weigh(&rough.x, &noise)?;
-        let fit = windows.fit_weighed((&start, &noise), |windows, x, rough| {
-            let most = if rough {
-                ROUGH_ITERATIONS
-            } else {
-                FIRST_ITERATIONS
-            };
+        let from = (&*start, &*noise);
+        let fit = windows.fit_weighed(from, FIRST_ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut |i| watch.fit(i))
         })?;
         Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
@@ -181,8 +176,7 @@ impl<'a> Search<'a> {
     pub(super) fn settle(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
         self.windows.weigh(&self.x, &self.noise)?;
         let now = (&*self.x, &*self.noise);
-        let fit = (self.windows).fit_weighed(now, |windows, x, rough| {
-            let most = if rough { ROUGH_ITERATIONS } else { ITERATIONS };
+        let fit = (self.windows).fit_weighed(now, ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut watch.fit_nearly())
         })?;
         self.chosen = self

@@ -25,28 +25,31 @@ use crate::sysid::SysidError;
 
 /// Part of the largest information below which a direction says nothing.
 const LEAST: f64 = 1e-8;
+/// Iterations of a fit where weights are far from what they will be.
+pub(super) const ROUGH_ITERATIONS: usize = 5;
 /// Times that channels are weighed anew, at most.
 const WEIGHINGS: usize = 8;
 /// Factor by which a weight changes, from which on it is far from what it will be.
 const FAR: f64 = 2.0;
 
 impl Windows {
-    /// Fits from `x` on until weights are near what is left; `fit` is told from where, and whether weights are still far off.
+    /// Fits from `x` on until weights are near what is left, the last time with so many iterations; `fit` is told from where,
+    /// and how many.
     ///
     /// # Errors
     /// The engine refuses a number; of `fit`.
     pub(super) fn fit_weighed(
         &mut self,
         (x, noise): (&[f64], &[f64]),
-        mut fit: impl FnMut(&mut Self, &[f64], bool) -> Result<Fitted, SysidError>,
+        iterations: usize,
+        mut fit: impl FnMut(&mut Self, &[f64], usize) -> Result<Fitted, SysidError>,
     ) -> Result<Fitted, SysidError> {
-        let mut fitted = fit(self, x, true)?;
+        let mut fitted = fit(self, x, ROUGH_ITERATIONS)?;
         for _ in 0..WEIGHINGS {
-            let change = self.weigh(&fitted.x, noise)?;
-            fitted = fit(self, &fitted.x, change >= FAR)?;
-            if change < FAR {
-                break;
+            if self.weigh(&fitted.x, noise)? < FAR {
+                return fit(self, &fitted.x, iterations);
             }
+            fitted = fit(self, &fitted.x, ROUGH_ITERATIONS)?;
         }
         Ok(fitted)
     }
@@ -148,7 +151,7 @@ mod tests {
         let noise = [windows.problem.channels[0].sigma];
         windows.problem.channels[0].sigma *= 1000.0;
         let start = windows.problem.parameters.start();
-        let fitted = windows.fit_weighed((&start, &noise), |windows, x, _| {
+        let fitted = windows.fit_weighed((&start, &noise), 20, |windows, x, _| {
             windows.fit(x, 20, &mut |_| true)
         });
         let x = fitted.expect("a fit").x;
