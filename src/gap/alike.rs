@@ -15,8 +15,9 @@
 //! is not for what was itself simulated in steps, nor where joints stick, of which half the step says little. What is
 //! alike by one of both costs is alike: nobody knows the machine's steps.
 //!
-//! Effects found later may tell them apart: what was alike before, or nearly so, is fitted once more beside them, and what
-//! fits better there by as much as tells two effects apart is exchanged for the one that was chosen.
+//! Effects found later may tell them apart: what was alike before, or nearly so, is fitted once more beside them, as is what
+//! looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart is exchanged for
+//! the one that was chosen.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,7 +25,7 @@ use super::effect::{Place, named};
 use super::model::{Built, Chosen};
 use super::name::APART;
 use super::result::Where;
-use super::screen::Candidate;
+use super::screen::{Candidate, Screen};
 use super::search::{Fitted, ITERATIONS, Search};
 use super::step::WithoutSteps;
 use super::{GapError, Stage, Watch};
@@ -187,29 +188,39 @@ impl Search<'_> {
         (part > 1.0 - CLEARLY).then_some(part)
     }
 
-    /// Fits what was alike once more, beside all that was found since, and keeps what is still, or exchanges what was chosen
-    /// for it; `own_steps` is what the cost is more without steps. Whether anything was exchanged.
+    /// Fits what was alike once more, beside all that was found since, and what looks alike now that all is found; keeps what
+    /// is alike, or exchanges what was chosen for it. `screen` is of the present model, `own_steps` what the cost is more
+    /// without steps. Whether anything was exchanged.
     ///
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn tell_apart(
         &mut self,
+        screen: &Screen,
         mut own_steps: Option<f64>,
         watch: &mut Watch<'_>,
     ) -> Result<bool, GapError> {
-        if self.chosen.len() < 2 {
-            for own in &mut self.evidence {
-                own.alike.retain(Rival::is_alike);
-            }
-            return Ok(false);
-        }
-        if self.evidence.iter().any(|e| !e.alike.is_empty()) {
-            watch.stage(Stage::Refit);
-        }
+        let effects = 0..self.chosen.len();
+        let look: Vec<Vec<Rival>> = effects.map(|i| self.look_alikes(screen, i)).collect();
+        let alone = self.chosen.len() < 2; // nothing was found since
         let mut exchanged = false;
-        for i in 0..self.evidence.len() {
-            let mut left = Vec::new();
-            for rival in std::mem::take(&mut self.evidence[i].alike) {
+        for (i, mut asked) in look.into_iter().enumerate() {
+            let known = std::mem::take(&mut self.evidence[i].alike);
+            asked.retain(|a| {
+                !known
+                    .iter()
+                    .any(|k| (&k.name, &k.place) == (&a.name, &a.place))
+            });
+            let (mut left, again) = if alone {
+                (known, Vec::new())
+            } else {
+                (Vec::new(), known)
+            };
+            asked.extend(again);
+            if !asked.is_empty() {
+                watch.stage(Stage::Refit);
+            }
+            for rival in asked {
                 let Some(effect) = named(&rival.name) else {
                     continue;
                 };
@@ -254,129 +265,38 @@ impl Search<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::Settings;
-    use crate::gap::effect::{ModelFile, candidates};
-    use crate::gap::evidence::Evidence;
-    use crate::gap::run::{self, Input, Options};
-    use crate::gap::stages::Nowhere;
-    use crate::mujoco::Data;
-    use crate::recording::{Channel, Kind, Meta, Recording, Stream};
-    use crate::rng::{self, Purpose};
-
-    /// Two masses with motors; `a` and `b` are attributes of their joints.
-    fn machine(a: &str, b: &str) -> ModelFile {
-        let joint = |name: &str, axis: &str, more: &str| {
-            format!(
-                r#"<body><joint name="{name}" type="slide" axis="{axis}" {more}/><geom size=".01" mass=".5"/></body>"#
-            )
-        };
-        let xml = format!(
-            r#"<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>{}{}</worldbody>
-            <actuator><motor name="ma" joint="a"/><motor name="mb" joint="b"/></actuator>
-            <sensor><jointpos name="sa" joint="a"/><jointpos name="sb" joint="b"/></sensor></mujoco>"#,
-            joint("a", "1 0 0", a),
-            joint("b", "0 1 0", b)
-        );
-        ModelFile::of_text(xml, "masses.xml").expect("loads")
-    }
-
-    /// Four seconds of sines, read with a hundredth of a millimetre of noise.
-    fn record(machine: &ModelFile) -> Recording {
-        const NOISE_M: f64 = 1e-5;
-        let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
-            name: name.into(),
-            kind,
-            unit: unit.into(),
-            noise_sigma,
-        };
-        let reads = ["sa", "sb"].map(|n| channel(n, Kind::Sensor, "m", Some(NOISE_M)));
-        let motors = ["ma", "mb"].map(|n| channel(n, Kind::Control, "N", None));
-        let all = reads.into_iter().chain(motors).collect();
-        let mut stream = Stream::new("all", Some(500.0), all);
-        let mut data = Data::new(machine.model.clone()).expect("data");
-        let mut rng = rng::stream(4, Purpose::SensorNoise, 0, 0);
-        for k in 0..2000_i64 {
-            let t = data.time();
-            let push = [
-                (7.0 * t).sin() + (11.0 * t).cos(),
-                (9.0 * t).cos() + (4.0 * t).sin(),
-            ];
-            let mut row: Vec<f64> = (data.qpos().iter())
-                .map(|q| q + NOISE_M * rng::normal(&mut rng))
-                .collect();
-            row.extend(push);
-            stream.push(k * 2_000_000, &row);
-            data.ctrl_mut().copy_from_slice(&push);
-            data.step().expect("step");
-        }
-        Recording {
-            meta: Meta::default(),
-            streams: vec![stream],
-        }
-    }
-
-    fn chosen(model: &ModelFile, name: &str, at: &str, values: &[f64]) -> Chosen {
-        let all = candidates(&model.model).into_iter();
-        let mut own = all.filter(|(e, p)| e.about().name == name && p.to_string() == at);
-        let (effect, place) = own.next().expect("in the catalogue");
-        Chosen {
-            effect,
-            place,
-            values: values.to_vec(),
-        }
-    }
+    use crate::gap::masses::{chosen, found, machine, searching};
 
     /// Damping was chosen where a spring is; beside what was found later the spring fits better.
     #[test]
     fn what_fits_better_beside_the_others_is_exchanged() {
         let base = machine("", "");
         let hidden = machine(r#"stiffness="8""#, r#"damping="2""#);
-        let config = toml::from_str(
-            "command = \"held\"\n[[parameter]]\nelement = \"joint/b\"\nattribute = \"armature\"\n\
-             scale = \"linear\"\nprior_sigma = 0.1\nlower = -0.1\n",
-        );
-        let (config, protocol) = (config.expect("a configuration"), Settings::default());
-        let train = [("sines".to_owned(), record(&hidden))];
-        let input = Input {
-            model: &base,
-            config: &config,
-            train: &train,
-            holdout: &[],
-            protocol: &protocol,
-        };
-        let mut report = |_: Stage, _: &str, _: Option<f64>| true;
-        let mut watch = Watch::new(&mut report);
-        let begun = run::begin(&input, &Options::default(), &mut Nowhere, &mut watch);
-        let mut search = begun.expect("begun").1;
-        let wrong = [
-            chosen(&base, "viscous_friction", "a", &[0.1]),
-            chosen(&base, "viscous_friction", "b", &[1.0]),
-        ];
-        let fitted = search
-            .fitted(&wrong, ITERATIONS, &mut watch)
-            .expect("fitted");
-        search.take(fitted.expect("follows"));
-        let evidence = |alike| Evidence {
-            p_value: 0.0,
-            gain: 0.5,
-            size: None,
-            alike,
-        };
-        let spring = chosen(&base, "joint_spring", "a", &[1.0, 0.0]);
-        search.evidence = vec![
-            evidence(vec![Rival::of(&spring, 20.0)]),
-            evidence(Vec::new()),
-        ];
-        assert!(search.tell_apart(None, &mut watch).expect("told"));
-        let found = &search.chosen[0];
-        assert_eq!(found.effect.about().name, "joint_spring");
-        assert!((found.values[0] / 8.0 - 1.0).abs() < 0.01, "{found:?}");
-        assert!(search.evidence[0].alike.is_empty());
-        // and stays
-        search.evidence[0].alike = vec![Rival::of(&wrong[0], 20.0)];
-        assert!(!search.tell_apart(None, &mut watch).expect("told"));
-        assert_eq!(search.chosen[0].effect.about().name, "joint_spring");
-        assert!(search.evidence[0].alike.is_empty());
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"armature\"\nscale = \"linear\"\n\
+                      prior_sigma = 0.1\nlower = -0.1\n";
+        searching(&base, &hidden, config, |search, watch| {
+            let wrong = [
+                chosen(&base, "viscous_friction", "a", &[0.1]),
+                chosen(&base, "viscous_friction", "b", &[1.0]),
+            ];
+            found(search, &wrong, watch);
+            let spring = chosen(&base, "joint_spring", "a", &[1.0, 0.0]);
+            search.evidence[0].alike = vec![Rival::of(&spring, 20.0)];
+            let told = |search: &mut Search<'_>, watch: &mut Watch<'_>| {
+                let screen = search.screen(watch).expect("screened").expect("whole");
+                search.tell_apart(&screen, None, watch).expect("told")
+            };
+            assert!(told(search, watch));
+            let spring = &search.chosen[0];
+            assert_eq!(spring.effect.about().name, "joint_spring");
+            assert!((spring.values[0] / 8.0 - 1.0).abs() < 0.01, "{spring:?}");
+            assert!(search.evidence[0].alike.is_empty());
+            // and stays
+            search.evidence[0].alike = vec![Rival::of(&wrong[0], 20.0)];
+            assert!(!told(search, watch));
+            assert_eq!(search.chosen[0].effect.about().name, "joint_spring");
+            assert!(search.evidence[0].alike.is_empty());
+        });
     }
 
     /// A drive's delay that followed a lag better in steps, and worse without, is told from it by neither alone.

@@ -13,6 +13,7 @@
 //! [`run()`] does all of it in memory; nothing is printed, and nothing read but the model's own assets.
 
 mod absorb;
+mod again;
 mod alike;
 mod band;
 mod coarse;
@@ -30,7 +31,10 @@ mod left;
 mod lengths;
 mod linear;
 mod locate;
+mod lookalike;
 mod lying;
+#[cfg(test)]
+mod masses;
 mod model;
 mod name;
 mod nudged;

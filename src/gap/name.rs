@@ -15,18 +15,16 @@ use nalgebra::DVector;
 use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
 use super::evidence::Evidence;
+use super::lookalike::InPlace;
 use super::model::Chosen;
 use super::result::{Experiment, Named, Untestable, Value, Where};
-use super::score::Normal;
-use super::screen::{Candidate, Screen};
-use super::search::{Search, Size};
+use super::screen::Screen;
+use super::search::Search;
 use super::untestable::UNSHOWN;
 use crate::sysid::student::two_sided_t;
 
 /// Squared separation below which two effects are one class.
 pub(super) const APART: f64 = 9.0;
-/// How many times the largest size to be expected another explanation may need.
-const ABSURD: f64 = 2.0;
 
 /// Names every effect in the model of `search`. `screen` is of that model, `step` what its own step makes of every free
 /// parameter.
@@ -70,19 +68,16 @@ pub(super) fn name(
             });
         }
         let mut others: Vec<Where> = search.evidence[i].alike.iter().map(Rival::said).collect();
-        let (normal, sizes) = search.sizes(&screen.normal, i);
-        let sure = |size: &Size| size.x.abs() / normal.fitted(size.at).0;
-        let each = sizes.iter().map(|size| (size, sure(size)));
-        if let Some(surest) = each.max_by(|a, b| a.1.total_cmp(&b.1)) {
+        if let Some(place) = InPlace::of(search, screen, i) {
             for c in &screen.candidates {
-                let Some(d2) = separation(search, &normal, c, surest) else {
+                let Some(instead) = place.instead(c).filter(|own| own.separation < APART) else {
                     continue;
                 };
-                let own = Where::of(c.effect, &c.place, d2);
+                let own = Where::of(c.effect, &c.place, instead.separation);
                 let known = others
                     .iter()
                     .any(|w| (&w.name, &w.at) == (&own.name, &own.at));
-                if d2 < APART && !known {
+                if !known {
                     others.push(own);
                 }
             }
@@ -124,33 +119,6 @@ pub(super) fn called(
         size: evidence.size,
         alike,
     }
-}
-
-/// How far a candidate is from an effect in the model, whose surest size is this, with `t`; none if it could not take its
-/// place.
-fn separation(
-    search: &Search<'_>,
-    normal: &Normal,
-    candidate: &Candidate,
-    (size, t): (&Size, f64),
-) -> Option<f64> {
-    let (likeness, instead) = normal.likeness(size.at, &candidate.columns);
-    let scales = search
-        .measured
-        .scales(&search.built.file.model, &candidate.place);
-    let parameters = candidate.effect.about().parameters;
-    for (&i, per_one) in candidate.parameters.iter().zip(&instead) {
-        let (p, value) = (&parameters[i], per_one * size.x);
-        if p.is_whole() {
-            continue;
-        }
-        // of the wrong sign or absurdly large it is no explanation
-        let wrong = p.sign == Sign::Positive && value < 0.0;
-        if wrong || value.abs() > ABSURD * p.high * p.scale(&scales) {
-            return None;
-        }
-    }
-    Some(t * t * (1.0 - likeness))
 }
 
 /// What would tell the members of a class apart, as the catalogue has it.

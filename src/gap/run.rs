@@ -283,7 +283,7 @@ pub(super) fn at_length(
     };
     let without = search.windows.without_steps(&search.x, &screen.linear)?;
     let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
-    let again = if search.tell_apart(by_steps, watch)? {
+    let again = if search.tell_apart(&screen, by_steps, watch)? {
         Some(screened(search.screen(watch)?)?)
     } else {
         None

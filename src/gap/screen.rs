@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::GapError;
 use super::absorb::Absorb;
-use super::effect::{self, Effect, ModelFile, Place, Role, Sign};
+use super::effect::{self, Effect, ModelFile, Place, Role};
 use super::fit::information;
 use super::linear::{Column, Linear};
 use super::model::{Built, Chosen, Measured, Variant, variants};
@@ -28,11 +28,8 @@ const PART: usize = 4;
 pub(super) const LEAST_VISIBLE: f64 = 0.005;
 /// Part of a column's squared length that first states must leave: less is rounding.
 const LEFT: f64 = 1e-8;
-/// How often the best candidates are looked at again, and how many of them.
+/// How often columns are looked at again.
 const LOOKS: usize = 2;
-const AGAIN: usize = 16;
-/// Part of the size tried first below which there is nothing to look at.
-const LEAST_AGAIN: f64 = 0.02;
 /// Part of a response that a channel must show to count.
 const SHOWN: f64 = 0.1;
 
@@ -58,10 +55,15 @@ pub(super) struct Candidate {
 impl Candidate {
     /// As it is expected.
     pub(super) fn chosen(&self) -> Chosen {
+        self.with(self.values.clone())
+    }
+
+    /// With these values, one a parameter.
+    pub(super) fn with(&self, values: Vec<f64>) -> Chosen {
         Chosen {
             effect: self.effect,
             place: self.place.clone(),
-            values: self.values.clone(),
+            values,
         }
     }
 }
@@ -189,62 +191,6 @@ impl Look<'_> {
             linear,
             motors,
         }))
-    }
-
-    /// Columns of the variants that explain most, again with the size that is expected of them: dry friction, delays or
-    /// play do not act in proportion to their size.
-    fn look_again(
-        &self,
-        all: &[(&'static dyn Effect, Place)],
-        found: &[(usize, Variant, Vec<usize>)],
-        at: At<'_>,
-        normal: &Normal,
-        columns: &mut [Column],
-    ) -> Result<(), GapError> {
-        let mut best: Vec<(f64, usize, Vec<f64>)> = (found.iter().enumerate())
-            .filter_map(|(k, (_, _, own))| {
-                let (gain, expected) = normal.gain(own)?;
-                Some((gain, k, expected))
-            })
-            .collect();
-        best.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let (mut asked, mut which) = (Vec::new(), Vec::new());
-        for (_, k, expected) in best.into_iter().take(AGAIN) {
-            let (i, variant, own) = &found[k];
-            let (effect, place) = &all[*i];
-            let scales = self.measured.scales(&self.built.file.model, place);
-            let parameters = effect.about().parameters;
-            for (((c, (size, values)), &p), beta) in own
-                .iter()
-                .zip(&variant.columns)
-                .zip(&variant.parameters)
-                .zip(&expected)
-            {
-                let parameter = &parameters[p];
-                let most = parameter.high * parameter.scale(&scales);
-                let beta = beta.clamp(-most, most);
-                let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
-                if parameter.is_whole() || wrong || beta.abs() < LEAST_AGAIN * size.abs() {
-                    continue;
-                }
-                let mut values = values.clone();
-                values[p] = beta;
-                which.push(*c);
-                asked.push(Ask {
-                    effect: *effect,
-                    place: place.clone(),
-                    values,
-                    size: beta,
-                });
-            }
-        }
-        let answers = self.ask(&asked, at, 1, &mut |_| true)?.unwrap_or_default();
-        for (c, column) in which.into_iter().zip(answers) {
-            if let Some(column) = column {
-                columns[c] = column;
-            }
-        }
-        Ok(())
     }
 
     /// Whether an effect is worth a look: not there yet, and not a variety of friction where there is none.

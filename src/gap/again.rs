@@ -1,0 +1,104 @@
+//! Columns taken again where their effect would be.
+//!
+//! Dry friction, delays or play do not act in proportion to their size: a column is the effect of one size, and is worth what
+//! that is worth. Once a screen expects a size β of a candidate, the column is taken again with it,
+//!
+//! ```text
+//! φ = (r(x, β) − r(x, 0))/β
+//! ```
+//!
+//! for the candidates that explain most. Beside effects that are in the model there are those that they may be mistaken for
+//! ([`super::lookalike`]): of these little is expected, and a small size gives the derivative.
+
+use super::GapError;
+use super::effect::{self, Effect, Place, Sign};
+use super::linear::Column;
+use super::model::Variant;
+use super::score::Normal;
+use super::screen::{At, Look};
+use super::together::Ask;
+
+/// Candidates that explain most.
+const MOST: usize = 16;
+/// Part of the size tried first below which there is nothing to look at.
+const LEAST: f64 = 0.02;
+
+impl Look<'_> {
+    /// Makes the `columns` of `found`, whose sums are `normal`, anew where that is worth it.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn look_again(
+        &self,
+        all: &[(&'static dyn Effect, Place)],
+        found: &[(usize, Variant, Vec<usize>)],
+        at: At<'_>,
+        normal: &Normal,
+        columns: &mut [Column],
+    ) -> Result<(), GapError> {
+        let mut best: Vec<(f64, usize, Vec<f64>)> = (found.iter().enumerate())
+            .filter_map(|(k, (_, _, own))| {
+                let (gain, expected) = normal.gain(own)?;
+                Some((gain, k, expected))
+            })
+            .collect();
+        best.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (mut asked, mut which) = (Vec::new(), Vec::new());
+        for (rank, (_, k, expected)) in best.into_iter().enumerate() {
+            let (i, variant, own) = &found[k];
+            let (effect, place) = &all[*i];
+            let beside = self.is_beside(*effect);
+            if rank >= MOST && !beside {
+                continue;
+            }
+            let scales = self.measured.scales(&self.built.file.model, place);
+            let parameters = effect.about().parameters;
+            for (((c, (size, values)), &p), beta) in own
+                .iter()
+                .zip(&variant.columns)
+                .zip(&variant.parameters)
+                .zip(&expected)
+            {
+                let parameter = &parameters[p];
+                let most = parameter.high * parameter.scale(&scales);
+                let mut beta = beta.clamp(-most, most);
+                let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
+                let least = LEAST * size.abs();
+                if beside && (wrong || beta.abs() < least) {
+                    beta = least;
+                } else if wrong || beta.abs() < least {
+                    continue;
+                }
+                if parameter.is_whole() {
+                    continue;
+                }
+                let mut values = values.clone();
+                values[p] = beta;
+                which.push(*c);
+                asked.push(Ask {
+                    effect: *effect,
+                    place: place.clone(),
+                    values,
+                    size: beta,
+                });
+            }
+        }
+        let answers = self.ask(&asked, at, 1, &mut |_| true)?.unwrap_or_default();
+        for (c, column) in which.into_iter().zip(answers) {
+            if let Some(column) = column {
+                columns[c] = column;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether an effect may be mistaken for one in the model.
+    fn is_beside(&self, effect: &dyn Effect) -> bool {
+        let mut present = self
+            .taken
+            .iter()
+            .filter_map(|(name, _)| effect::named(name));
+        let name = effect.about().name;
+        present.any(|own| own.about().name == name || effect::are_neighbours(own, effect))
+    }
+}

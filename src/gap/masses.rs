@@ -1,0 +1,113 @@
+//! Two masses with motors, for tests of the search.
+
+use super::effect::{ModelFile, candidates};
+use super::evidence::Evidence;
+use super::model::Chosen;
+use super::run::{self, Input, Options};
+use super::search::{ITERATIONS, Search};
+use super::stages::Nowhere;
+use super::{Stage, Watch};
+use crate::compare::Settings;
+use crate::mujoco::Data;
+use crate::recording::{Channel, Kind, Meta, Recording, Stream};
+use crate::rng::{self, Purpose};
+
+/// Two masses with motors; `a` and `b` are attributes of their joints.
+pub(super) fn machine(a: &str, b: &str) -> ModelFile {
+    let joint = |name: &str, axis: &str, more: &str| {
+        format!(
+            r#"<body><joint name="{name}" type="slide" axis="{axis}" {more}/><geom size=".01" mass=".5"/></body>"#
+        )
+    };
+    let xml = format!(
+        r#"<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>{}{}</worldbody>
+        <actuator><motor name="ma" joint="a"/><motor name="mb" joint="b"/></actuator>
+        <sensor><jointpos name="sa" joint="a"/><jointpos name="sb" joint="b"/></sensor></mujoco>"#,
+        joint("a", "1 0 0", a),
+        joint("b", "0 1 0", b)
+    );
+    ModelFile::of_text(xml, "masses.xml").expect("loads")
+}
+
+/// Four seconds of sines, read with a hundredth of a millimetre of noise.
+fn record(machine: &ModelFile) -> Recording {
+    const NOISE_M: f64 = 1e-5;
+    let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
+        name: name.into(),
+        kind,
+        unit: unit.into(),
+        noise_sigma,
+    };
+    let reads = ["sa", "sb"].map(|n| channel(n, Kind::Sensor, "m", Some(NOISE_M)));
+    let motors = ["ma", "mb"].map(|n| channel(n, Kind::Control, "N", None));
+    let all = reads.into_iter().chain(motors).collect();
+    let mut stream = Stream::new("all", Some(500.0), all);
+    let mut data = Data::new(machine.model.clone()).expect("data");
+    let mut rng = rng::stream(4, Purpose::SensorNoise, 0, 0);
+    for k in 0..2000_i64 {
+        let t = data.time();
+        let push = [
+            (7.0 * t).sin() + (11.0 * t).cos(),
+            (9.0 * t).cos() + (4.0 * t).sin(),
+        ];
+        let mut row: Vec<f64> = (data.qpos().iter())
+            .map(|q| q + NOISE_M * rng::normal(&mut rng))
+            .collect();
+        row.extend(push);
+        stream.push(k * 2_000_000, &row);
+        data.ctrl_mut().copy_from_slice(&push);
+        data.step().expect("step");
+    }
+    Recording {
+        meta: Meta::default(),
+        streams: vec![stream],
+    }
+}
+
+/// An effect of the catalogue at a place.
+pub(super) fn chosen(model: &ModelFile, name: &str, at: &str, values: &[f64]) -> Chosen {
+    let all = candidates(&model.model).into_iter();
+    let mut own = all.filter(|(e, p)| e.about().name == name && p.to_string() == at);
+    let (effect, place) = own.next().expect("in the catalogue");
+    Chosen {
+        effect,
+        place,
+        values: values.to_vec(),
+    }
+}
+
+/// A search that has fitted `base`, with the parameters that the text lists, to what `hidden` does.
+pub(super) fn searching(
+    base: &ModelFile,
+    hidden: &ModelFile,
+    parameters: &str,
+    then: impl FnOnce(&mut Search<'_>, &mut Watch<'_>),
+) {
+    let config = toml::from_str(&format!("command = \"held\"\n{parameters}"));
+    let (config, protocol) = (config.expect("a configuration"), Settings::default());
+    let train = [("sines".to_owned(), record(hidden))];
+    let input = Input {
+        model: base,
+        config: &config,
+        train: &train,
+        holdout: &[],
+        protocol: &protocol,
+    };
+    let mut report = |_: Stage, _: &str, _: Option<f64>| true;
+    let mut watch = Watch::new(&mut report);
+    let begun = run::begin(&input, &Options::default(), &mut Nowhere, &mut watch);
+    then(&mut begun.expect("begun").1, &mut watch);
+}
+
+/// Makes a model with these effects, fitted, that of the search.
+pub(super) fn found(search: &mut Search<'_>, effects: &[Chosen], watch: &mut Watch<'_>) {
+    let fitted = search.fitted(effects, ITERATIONS, watch).expect("fitted");
+    search.take(fitted.expect("follows"));
+    let evidence = |_: &Chosen| Evidence {
+        p_value: 0.0,
+        gain: 0.5,
+        size: None,
+        alike: Vec::new(),
+    };
+    search.evidence = effects.iter().map(evidence).collect();
+}
