@@ -52,7 +52,7 @@ fn in_windows(
     let (whole, mut search) = run::begin(input, options, keeper, watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let screen = search.screen(watch)?.ok_or(GapError::Stopped)?;
-    let mut chosen = Vec::new();
+    let (mut chosen, mut columns) = (Vec::new(), Vec::new());
     for (name, place) in effects {
         let found = screen.candidates.iter().find(|c| {
             c.effect.about().name == name
@@ -61,8 +61,10 @@ fn in_windows(
         });
         let Some(c) = found else { return Ok(None) };
         chosen.push(c.chosen());
+        columns.extend(&c.columns);
     }
-    let Some(fitted) = search.fitted(&chosen, ITERATIONS, watch)? else {
+    let step = (screen.normal.score(&columns)).map_or_else(Vec::new, |s| s.step);
+    let Some(fitted) = search.fitted_after(&step, &chosen, ITERATIONS, watch)? else {
         return Ok(None);
     };
     search.take(fitted);

@@ -60,6 +60,8 @@ struct Solved {
 pub(super) struct Score {
     /// expected value of each of its columns' sizes
     pub expected: Vec<f64>,
+    /// how far the fitted parameters move with it
+    pub step: Vec<f64>,
     /// fall of the cost
     pub gain: f64,
     /// fall of the cost of what was left out, mean over stretches times their number, and of that of the priors
@@ -298,6 +300,7 @@ impl Normal {
             .sum::<f64>();
         Some(Score {
             expected: all_beta.as_slice().to_vec(),
+            step: all_step.as_slice().to_vec(),
             gain,
             held_gain: sum + self.prior_gain(&all_step),
             held_sigma: (spread * count as f64 / (count as f64 - 1.0).max(1.0)).sqrt(),

@@ -24,8 +24,10 @@ use nalgebra::{DMatrix, DVector};
 const FEW: usize = 4;
 /// That part: every so many-th window.
 const PART: usize = 4;
-/// An effect whose columns are others' to this part cannot be seen.
-pub(super) const LEAST_VISIBLE: f64 = 0.005;
+/// An effect of whose columns others leave less cannot be seen: columns are linear to about a hundredth of their length.
+pub(super) const LEAST_VISIBLE: f64 = 2e-4;
+/// And of which they leave less is hardly seen, however much it does.
+pub(super) const HARDLY_VISIBLE: f64 = 0.005;
 /// Part of a column's squared length that first states must leave: less is rounding.
 const LEFT: f64 = 1e-8;
 /// How often columns are looked at again.

@@ -273,6 +273,18 @@ impl<'a> Search<'a> {
         iterations: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
+        self.fitted_after(&[], chosen, iterations, watch)
+    }
+
+    /// The same with a fit that starts after a `step` of the base model's parameters: where they stood for an effect to one
+    /// part in a thousand, as masses do for a motor's gain, the model is far from all recordings until they give way.
+    pub(super) fn fitted_after(
+        &self,
+        step: &[f64],
+        chosen: &[Chosen],
+        iterations: usize,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Fitted>, GapError> {
         let Ok(built) = Built::new(self.base, self.rules, chosen, &self.measured) else {
             return Ok(None);
         };
@@ -284,6 +296,10 @@ impl<'a> Search<'a> {
             self.windows.problem.parameters.len() - self.built.free(&self.windows.problem).len();
         let mut x = problem.parameters.start();
         x[..n_base].copy_from_slice(&self.x[..n_base]);
+        let reach = self.windows.problem.parameters.reach(&self.x);
+        for ((x, d), (low, high)) in x[..n_base].iter_mut().zip(step).zip(reach) {
+            *x += d.max(low).min(high);
+        }
         let new = |c: &Chosen| !self.has(c.effect.about().name, &c.place);
         if let Some(held) = built.holding_shapes(chosen, new) {
             let Ok(some) = held.problem(&windows.problem) else {

@@ -9,7 +9,7 @@ use super::forward::tests;
 use super::name;
 use super::result::Untestable;
 use super::score::two_sided;
-use super::screen::{Candidate, LEAST_VISIBLE, Screen};
+use super::screen::{Candidate, HARDLY_VISIBLE, Screen};
 use super::search::Search;
 
 /// Why: no recording shows it.
@@ -30,7 +30,7 @@ pub(super) fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable
             None => UNSHOWN,
             Some(c) => match &c.score {
                 None => "the fitted parameters explain all of it",
-                Some(s) if s.visible < LEAST_VISIBLE => {
+                Some(s) if s.visible < HARDLY_VISIBLE => {
                     "the fitted parameters explain nearly all of it"
                 }
                 Some(_) if is_lost(search, c, n_tests) => {
