@@ -99,12 +99,7 @@ impl Search<'_> {
         let least = self.limits.gain * self.unexplained(screen);
         let mut fitted: Vec<(Fitted, &Candidate)> = Vec::new();
         for c in rivals {
-            let mut chosen = self.chosen.clone();
-            chosen.push(c.chosen());
-            let step = c.score.as_ref().map_or(&[][..], |s| &s.step);
-            if let Some(own) = self.fitted_after(step, &chosen, FEW_ITERATIONS, watch)? {
-                fitted.push((own, c));
-            }
+            fitted.extend(self.begun(c, watch)?);
         }
         let fall = |f: &Fitted| self.cost - f.cost;
         let most = fitted.iter().map(|f| fall(&f.0)).fold(0.0, f64::max);
@@ -169,6 +164,29 @@ impl Search<'_> {
         Ok(false)
     }
 
+    /// A candidate in the model, the fit begun. Where that falls short of what the screen expects, other shapes are tried: how
+    /// dry friction changes with speed is not linear in anything.
+    fn begun<'s>(
+        &self,
+        candidate: &'s Candidate,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<(Fitted, &'s Candidate)>, GapError> {
+        let mut best: Option<(Fitted, &Candidate)> = None;
+        for c in std::iter::once(candidate).chain(&candidate.others) {
+            let Some(score) = &c.score else { continue };
+            let mut chosen = self.chosen.clone();
+            chosen.push(c.chosen());
+            let own = self.fitted_after(&score.step, &chosen, FEW_ITERATIONS, watch)?;
+            best = (best.into_iter().chain(own.map(|own| (own, c))))
+                .min_by(|a, b| a.0.cost.total_cmp(&b.0.cost));
+            let enough = self.cost - LEADING * score.gain;
+            if best.as_ref().is_some_and(|b| b.0.cost <= enough) {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
     /// Candidates to be fitted, best first; then what the catalogue says may be mistaken for the best: a screen is linear, and
     /// what turns gravity by much is not.
     fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
@@ -206,7 +224,9 @@ pub(super) fn tests(screen: &Screen) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use crate::gap::masses::{machine, searching};
+    use super::{Candidate, Score};
+    use crate::gap::effect::write;
+    use crate::gap::masses::{chosen, machine, searching};
 
     /// A motor stronger than said, of which a rotor has stood for all but what damping shows.
     #[test]
@@ -229,6 +249,39 @@ mod tests {
             };
             let (there, here) = (cost(&score.step), cost(&[]));
             assert!(there < 0.01 * here, "{there} {here}");
+        });
+    }
+
+    /// Dry friction that falls with speed, taken first to do so within a crawl.
+    #[test]
+    fn what_one_shape_does_not_fit_another_may() {
+        let base = machine(r#"frictionloss=".15""#, "");
+        let hidden = [0.2, 0.0, 0.3];
+        let law = chosen(&base, "stribeck_friction", "a", &hidden);
+        let machine = write(&base, law.effect, &law.place, &hidden).expect("written");
+        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"frictionloss\"\n";
+        searching(&base, &machine.file, config, |search, watch| {
+            let screen = search.screen(watch).expect("screened").expect("whole");
+            let is_law = |c: &&Candidate| {
+                c.effect.about().name == "stribeck_friction" && c.place == law.place
+            };
+            let expected = screen.candidates.iter().find(is_law).expect("a candidate");
+            assert!(!expected.others.is_empty());
+            // more is expected than anything could bring
+            let score = expected.score.clone().map(|own| Score {
+                gain: 3.0 * search.cost,
+                ..own
+            });
+            let crawl = Candidate {
+                score,
+                values: vec![0.2, 0.0, 1e-5],
+                others: vec![expected.clone()],
+                ..expected.clone()
+            };
+            let begun = search.begun(&crawl, watch).expect("fitted");
+            let (fitted, of) = begun.expect("follows");
+            assert_eq!(of.values, expected.values);
+            assert!(fitted.cost < search.cost);
         });
     }
 }

@@ -52,6 +52,8 @@ pub(super) struct Candidate {
     pub size: Option<f64>,
     /// whether the expected values make sense
     pub sensible: bool,
+    /// the same with other shapes that make sense, best first
+    pub others: Vec<Candidate>,
 }
 
 impl Candidate {
@@ -165,7 +167,7 @@ impl Look<'_> {
         }
         let motors = linear.motors(self.windows, self.x)?;
         let motors = motors.map(|m| linear.by_channel(&m.parts));
-        let mut best: BTreeMap<usize, Candidate> = BTreeMap::new();
+        let mut shaped: BTreeMap<usize, Vec<Candidate>> = BTreeMap::new();
         for (i, variant, own) in found {
             let (effect, place) = &all[i];
             let candidate = candidate(
@@ -178,16 +180,10 @@ impl Look<'_> {
                 motors.as_deref(),
                 self,
             );
-            let held = |c: &Candidate| {
-                let score = c.score.as_ref().filter(|_| c.sensible);
-                score.map_or(f64::NEG_INFINITY, |s| s.held_gain)
-            };
-            if best.get(&i).is_none_or(|b| held(&candidate) > held(b)) {
-                best.insert(i, candidate);
-            }
+            shaped.entry(i).or_default().push(candidate);
         }
         Ok(Some(Screen {
-            candidates: best.into_values().collect(),
+            candidates: shaped.into_values().filter_map(best_shape).collect(),
             columns,
             normal,
             linear,
@@ -337,6 +333,21 @@ fn best(
     each.map(|(i, (_, variant))| (i, variant)).collect()
 }
 
+/// The one of a candidate's shapes that gains most where it was not estimated, with the others.
+fn best_shape(mut all: Vec<Candidate>) -> Option<Candidate> {
+    let held = |c: &Candidate| {
+        let score = c.score.as_ref().filter(|_| c.sensible);
+        score.map_or(f64::NEG_INFINITY, |s| s.held_gain)
+    };
+    all.sort_by(|a, b| held(b).total_cmp(&held(a)));
+    let mut shapes = all.into_iter();
+    let best = shapes.next()?;
+    Some(Candidate {
+        others: shapes.filter(|c| held(c) > 0.0).collect(),
+        ..best
+    })
+}
+
 #[allow(clippy::too_many_arguments)] // what a candidate is made of
 fn candidate(
     effect: &'static dyn Effect,
@@ -383,6 +394,7 @@ fn candidate(
         score,
         size,
         sensible,
+        others: Vec::new(),
     }
 }
 
