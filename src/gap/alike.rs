@@ -16,12 +16,13 @@
 //! alike by one of both costs is alike: nobody knows the machine's steps.
 //!
 //! Effects found later may tell them apart: what was alike before, or nearly so, is fitted once more beside them, as is what
-//! looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart is exchanged for
-//! the one that was chosen.
+//! looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart, and held-out
+//! recordings besides, is exchanged for the one that was chosen.
 
 use serde::{Deserialize, Serialize};
 
 use super::effect::{Place, named};
+use super::held_out::falls;
 use super::model::{Built, Chosen};
 use super::name::APART;
 use super::result::Where;
@@ -188,6 +189,13 @@ impl Search<'_> {
         (part > 1.0 - CLEARLY).then_some(part)
     }
 
+    /// Whether a fitted model costs less than the present one where neither was fitted.
+    fn is_less_held_out(&self, fitted: &Fitted) -> Result<bool, GapError> {
+        let before = self.held(&self.built, &self.windows, &self.x)?;
+        let after = self.held(&fitted.built, &fitted.windows, &fitted.x)?;
+        Ok(falls(before.as_ref(), after.as_ref(), |_| 0.0))
+    }
+
     /// Fits what was alike once more, beside all that was found since, and what looks alike now that all is found; keeps what
     /// is alike, or exchanges what was chosen for it. `screen` is of the present model, `own_steps` what the cost is more
     /// without steps. Whether anything was exchanged.
@@ -244,7 +252,7 @@ impl Search<'_> {
                 }
                 let (own, other) = ((&own, &self.x[..]), (&costs, &fitted.x[..]));
                 let back = separation(own, other, fitted.cost);
-                if back >= APART && !self.absurd(&fitted) {
+                if back >= APART && !self.absurd(&fitted) && self.is_less_held_out(&fitted)? {
                     *self = self.settled_with(fitted, watch)?;
                     (own_steps, exchanged) = (None, true);
                 } else {

@@ -10,10 +10,10 @@
 //! ```
 //!
 //! The surest effects are known to parts of a thousand, columns are not, and d² is then large whatever ρ. What looks like the
-//! effect, ρ² ≥ 0.9, is fitted in its place ([`super::alike`]).
+//! effect, ρ² ≥ 0.9 or what the catalogue says of it, is fitted in its place ([`super::alike`]).
 
 use super::alike::Rival;
-use super::effect::Sign;
+use super::effect::{Sign, are_neighbours};
 use super::name::APART;
 use super::score::Normal;
 use super::screen::{Candidate, Screen};
@@ -23,6 +23,8 @@ use super::search::{Search, Size};
 const ABSURD: f64 = 2.0;
 /// ρ² from which a candidate looks like an effect.
 const LIKE: f64 = 0.9;
+/// The same of what the catalogue says it may be mistaken for: where joints stick columns say little.
+const LIKE_NEIGHBOUR: f64 = 0.2;
 /// Candidates that are fitted in the place of an effect.
 const MOST: usize = 3;
 
@@ -95,7 +97,9 @@ impl Search<'_> {
         };
         let looks = |c: &Candidate| {
             let instead = place.instead(c)?;
-            let asks = instead.likeness >= LIKE && instead.separation >= APART;
+            let neighbour = are_neighbours(c.effect, self.chosen[effect].effect);
+            let like = if neighbour { LIKE_NEIGHBOUR } else { LIKE };
+            let asks = instead.likeness >= like && instead.separation >= APART;
             asks.then(|| {
                 (
                     instead.likeness,
