@@ -27,7 +27,7 @@ use super::model::{Built, Chosen};
 use super::name::APART;
 use super::result::Where;
 use super::screen::{Candidate, Screen};
-use super::search::{Fitted, ITERATIONS, Search};
+use super::search::{FEW_ITERATIONS, Fitted, Search};
 use super::step::WithoutSteps;
 use super::{GapError, Stage, Watch};
 use crate::sysid::problem::Problem;
@@ -39,6 +39,8 @@ const CLEARLY: f64 = 0.8;
 /// Separation up to which what is not alike is remembered, and how many of these: effects found later may turn it round.
 const NEARLY: f64 = 50.0;
 const RUNNERS_UP: usize = 3;
+/// Times the present cost that another effect may leave after few iterations.
+const HOPELESS: f64 = 2.0;
 /// Places of costs with and without steps.
 const WITH: usize = 0;
 const WITHOUT: usize = 1;
@@ -241,9 +243,13 @@ impl Search<'_> {
                     place: rival.place.clone(),
                     values: rival.values.clone(),
                 };
-                let Some(fitted) = self.fitted(&chosen, ITERATIONS, watch)? else {
+                let Some(mut fitted) = self.fitted(&chosen, FEW_ITERATIONS, watch)? else {
                     continue;
                 };
+                if fitted.cost > HOPELESS * self.cost {
+                    continue;
+                }
+                fitted.improve(watch)?;
                 let (mut own, mut costs) = ([self.cost; 2], [fitted.cost; 2]);
                 if let (Some(own_change), Some(change)) = (own_steps, fitted.cost_without_steps()?)
                 {

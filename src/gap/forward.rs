@@ -15,7 +15,7 @@ use super::evidence::Standing;
 use super::held_out::{Held, both, falls, unexplained};
 use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
-use super::search::{Fitted, Search};
+use super::search::{FEW_ITERATIONS, Fitted, Search};
 use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted in full before one is kept.
@@ -29,9 +29,7 @@ const LIKELY: f64 = 3.0;
 const LARGE: f64 = 0.1;
 /// Part of the best one's gain that a rival has.
 const NEAR: f64 = 0.2;
-/// Iterations after which rivals far behind are given up, and the part of the best one's fall that is not far; of what is left,
-/// it is most.
-const FEW_ITERATIONS: usize = 3;
+/// Part of the best one's fall that rivals have after few iterations; of what is left, it is most.
 const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
 const OF_USE: f64 = 0.05;

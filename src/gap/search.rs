@@ -58,6 +58,8 @@ impl Limits {
 
 /// Iterations of a fit after a small change.
 pub(super) const ITERATIONS: usize = 12;
+/// Iterations after which what is far behind is given up.
+pub(super) const FEW_ITERATIONS: usize = 3;
 /// Iterations of the first fit.
 const FIRST_ITERATIONS: usize = 40;
 /// Iterations before shapes of a new effect are freed.
