@@ -258,6 +258,7 @@ impl Search<'_> {
                 }
                 let (own, other) = ((&own, &self.x[..]), (&costs, &fitted.x[..]));
                 let back = separation(own, other, fitted.cost);
+                // what held-out recordings do not tell apart is alike
                 if back >= APART && !self.absurd(&fitted) && self.is_less_held_out(&fitted)? {
                     *self = self.settled_with(fitted, watch)?;
                     (own_steps, exchanged) = (None, true);
