@@ -13,6 +13,7 @@ use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
 use super::held_out::{Held, both, falls, unexplained};
+use super::name::APART;
 use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{FEW_ITERATIONS, Fitted, Search};
@@ -123,6 +124,8 @@ impl Search<'_> {
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
         let held_before = self.held(&self.built, &self.windows, &self.x)?;
+        // what fits in absurd numbers alone is something that the catalogue has not, and no worse fit is it
+        let mut absurd: Option<f64> = None;
         for (i, of) in tried.iter().enumerate() {
             let own = &of.fit;
             let gain = (self.cost - own.cost) / self.cost;
@@ -130,7 +133,12 @@ impl Search<'_> {
             if own_size.is_some_and(|size| size < OWN * self.limits.size) {
                 continue;
             }
+            let price = of.price(which);
+            if absurd.is_some_and(|best| alike::apart(price, best) >= APART) {
+                break;
+            }
             if self.absurd(own) {
+                absurd = absurd.or(Some(price));
                 continue;
             }
             let held = self.held(&own.built, &own.windows, &own.x)?;
