@@ -61,17 +61,14 @@ impl Look<'_> {
             {
                 let parameter = &parameters[p];
                 let most = parameter.high * parameter.scale(&scales);
-                let mut beta = beta.clamp(-most, most);
+                let beta = beta.clamp(-most, most);
                 let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
                 let least = LEAST * size.abs();
-                if beside && (wrong || beta.abs() < least) {
-                    beta = least;
-                } else if wrong || beta.abs() < least {
+                let little = wrong || beta.abs() < least;
+                if parameter.is_whole() || (little && !beside) {
                     continue;
                 }
-                if parameter.is_whole() {
-                    continue;
-                }
+                let beta = if little { least } else { beta };
                 let mut values = values.clone();
                 values[p] = beta;
                 which.push(*c);

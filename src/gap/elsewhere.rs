@@ -91,11 +91,7 @@ impl Search<'_> {
         (screen, held): (&Screen, Option<&Held>),
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Self, Vec<Evidence>)>, GapError> {
-        let mut chosen = self.chosen.clone();
-        chosen.extend(more.iter().map(|c| c.chosen()));
-        let columns: Vec<usize> = more.iter().flat_map(|c| c.columns.clone()).collect();
-        let step = (screen.normal.score(&columns)).map_or_else(Vec::new, |s| s.step);
-        let Some(fitted) = self.fitted_after(&step, &chosen, ITERATIONS, watch)? else {
+        let Some(fitted) = self.fitted_with(more, screen, ITERATIONS, watch)? else {
             return Ok(None);
         };
         if self.absurd(&fitted) {

@@ -98,7 +98,7 @@ impl Search<'_> {
         let least = self.limits.gain * self.unexplained(screen);
         let mut fitted: Vec<(Fitted, &Candidate)> = Vec::new();
         for c in rivals {
-            fitted.extend(self.begun(c, watch)?);
+            fitted.extend(self.begun(c, screen, watch)?);
         }
         let fall = |f: &Fitted| self.cost - f.cost;
         let most = fitted.iter().map(|f| fall(&f.0)).fold(0.0, f64::max);
@@ -175,14 +175,13 @@ impl Search<'_> {
     fn begun<'s>(
         &self,
         candidate: &'s Candidate,
+        screen: &Screen,
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Fitted, &'s Candidate)>, GapError> {
         let mut best: Option<(Fitted, &Candidate)> = None;
         for c in std::iter::once(candidate).chain(&candidate.others) {
             let Some(score) = &c.score else { continue };
-            let mut chosen = self.chosen.clone();
-            chosen.push(c.chosen());
-            let own = self.fitted_after(&score.step, &chosen, FEW_ITERATIONS, watch)?;
+            let own = self.fitted_with(&[c], screen, FEW_ITERATIONS, watch)?;
             best = (best.into_iter().chain(own.map(|own| (own, c))))
                 .min_by(|a, b| a.0.cost.total_cmp(&b.0.cost));
             let enough = self.cost - LEADING * score.gain;
@@ -248,12 +247,12 @@ mod tests {
             let mut gains = all
                 .filter(|c| c.place.to_string() == "ma" && c.effect.about().name == "torque_gain");
             let gain = gains.next().expect("a candidate");
-            let score = gain.score.as_ref().expect("seen");
+            let step = screen.normal.step(&gain.columns);
             let mut cost = |step: &[f64]| {
                 let fitted = search.fitted_after(step, &[gain.chosen()], 0, watch);
                 fitted.expect("fitted").expect("follows").cost
             };
-            let (there, here) = (cost(&score.step), cost(&[]));
+            let (there, here) = (cost(&step), cost(&[]));
             assert!(there < 0.01 * here, "{there} {here}");
         });
     }
@@ -284,7 +283,7 @@ mod tests {
                 others: vec![expected.clone()],
                 ..expected.clone()
             };
-            let begun = search.begun(&crawl, watch).expect("fitted");
+            let begun = search.begun(&crawl, &screen, watch).expect("fitted");
             let (fitted, of) = begun.expect("follows");
             assert_eq!(of.values, expected.values);
             assert!(fitted.cost < search.cost);

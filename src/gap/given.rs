@@ -52,7 +52,7 @@ fn in_windows(
     let (whole, mut search) = run::begin(input, options, keeper, watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let screen = search.screen(watch)?.ok_or(GapError::Stopped)?;
-    let (mut chosen, mut columns) = (Vec::new(), Vec::new());
+    let mut given = Vec::new();
     for (name, place) in effects {
         let found = screen.candidates.iter().find(|c| {
             c.effect.about().name == name
@@ -60,11 +60,9 @@ fn in_windows(
                 && c.score.is_some()
         });
         let Some(c) = found else { return Ok(None) };
-        chosen.push(c.chosen());
-        columns.extend(&c.columns);
+        given.push(c);
     }
-    let step = (screen.normal.score(&columns)).map_or_else(Vec::new, |s| s.step);
-    let Some(fitted) = search.fitted_after(&step, &chosen, ITERATIONS, watch)? else {
+    let Some(fitted) = search.fitted_with(&given, &screen, ITERATIONS, watch)? else {
         return Ok(None);
     };
     search.take(fitted);

@@ -60,8 +60,6 @@ struct Solved {
 pub(super) struct Score {
     /// expected value of each of its columns' sizes
     pub expected: Vec<f64>,
-    /// how far the fitted parameters move with it
-    pub step: Vec<f64>,
     /// fall of the cost
     pub gain: f64,
     /// fall of the cost of what was left out, mean over stretches times their number, and of that of the priors
@@ -179,16 +177,25 @@ impl Normal {
 
     /// Of the candidate with these columns (index among the candidates).
     pub(super) fn score(&self, candidate: &[usize]) -> Option<Score> {
-        let at: Vec<usize> = candidate.iter().map(|c| self.n_parameters + c).collect();
-        self.score_of(&at)
+        self.score_of(&self.places(candidate))
     }
 
     /// Fall of the cost by a candidate, of all windows, and the expected value of each of its columns' sizes; none where
     /// others absorb it.
     pub(super) fn gain(&self, candidate: &[usize]) -> Option<(f64, Vec<f64>)> {
-        let at: Vec<usize> = candidate.iter().map(|c| self.n_parameters + c).collect();
-        let (_, beta, own) = self.all().with(&at)?;
+        let (_, beta, own) = self.all().with(&self.places(candidate))?;
         Some((0.5 * beta.dot(&(own * &beta)), beta.as_slice().to_vec()))
+    }
+
+    /// How far the fitted parameters move with a candidate; not at all where others absorb it.
+    pub(super) fn step(&self, candidate: &[usize]) -> Vec<f64> {
+        let with = self.all().with(&self.places(candidate));
+        with.map_or_else(Vec::new, |(step, ..)| step.as_slice().to_vec())
+    }
+
+    /// Where the columns of a candidate stand among all.
+    fn places(&self, candidate: &[usize]) -> Vec<usize> {
+        candidate.iter().map(|c| self.n_parameters + c).collect()
     }
 
     /// Standard deviation of every parameter's x by the residuals' weights and priors alone.
@@ -235,7 +242,7 @@ impl Normal {
         let np = self.n_parameters;
         let others: Vec<usize> = (0..np).filter(|j| *j != parameter).collect();
         let mut wanted = vec![parameter];
-        wanted.extend(candidate.iter().map(|c| np + c));
+        wanted.extend(self.places(candidate));
         let total = &self.all().normal;
         let pick = |a: &[usize], b: &[usize]| {
             DMatrix::from_fn(a.len(), b.len(), |i, j| total[(a[i], b[j])])
@@ -300,7 +307,6 @@ impl Normal {
             .sum::<f64>();
         Some(Score {
             expected: all_beta.as_slice().to_vec(),
-            step: all_step.as_slice().to_vec(),
             gain,
             held_gain: sum + self.prior_gain(&all_step),
             held_sigma: (spread * count as f64 / (count as f64 - 1.0).max(1.0)).sqrt(),

@@ -16,7 +16,7 @@ use super::fit;
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
-use super::screen::{Look, Screen};
+use super::screen::{Candidate, Look, Screen};
 use super::weigh::ROUGH_ITERATIONS;
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
@@ -278,8 +278,27 @@ impl<'a> Search<'a> {
         self.fitted_after(&[], chosen, iterations, watch)
     }
 
-    /// The same with a fit that starts after a `step` of the base model's parameters: where they stood for an effect to one
-    /// part in a thousand, as masses do for a motor's gain, the model is far from all recordings until they give way.
+    /// The present model with more effects, as the screen of it expects them and all parameters with them.
+    pub(super) fn fitted_with(
+        &self,
+        more: &[&Candidate],
+        screen: &Screen,
+        iterations: usize,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Fitted>, GapError> {
+        let mut chosen = self.chosen.clone();
+        chosen.extend(more.iter().map(|c| c.chosen()));
+        let columns: Vec<usize> = more
+            .iter()
+            .flat_map(|c| c.columns.iter().copied())
+            .collect();
+        let step = screen.normal.step(&columns);
+        self.fitted_after(&step, &chosen, iterations, watch)
+    }
+
+    /// As [`Search::fitted`] with a fit that starts after a `step` of the base model's parameters: where they stood for an
+    /// effect to one part in a thousand, as masses do for a motor's gain, the model is far from all recordings until they
+    /// give way.
     pub(super) fn fitted_after(
         &self,
         step: &[f64],
