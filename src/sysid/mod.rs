@@ -65,6 +65,7 @@ pub(crate) mod start;
 mod step;
 pub(crate) mod student;
 pub mod summary;
+mod surface;
 mod timing;
 mod track;
 mod trial;

@@ -146,6 +146,30 @@ fn it_goes_no_farther_than_the_model_follows() {
     }
 }
 
+/// A swarm that stops where damping is hardly known finds it behind its horizon.
+#[test]
+fn what_lies_behind_the_horizon_tells_the_rest() {
+    let problem = problem(0.0, 0.0);
+    let of = |max_iterations| {
+        let method = Method::Sequential(SequentialSettings {
+            n_chains: 50,
+            at_rest: true,
+            max_iterations,
+            ..SequentialSettings::default()
+        });
+        solve(&problem, &method, problem.parameters.start())
+    };
+    let sigma = sigmas(&problem, &of(300));
+    let fit = of(14);
+    assert!(fit.horizon_s.is_some_and(|s| s < 0.35));
+    let at_horizon = sigmas(&problem, &fit);
+    for j in 0..2 {
+        assert!(at_horizon[j] > 5.0 * sigma[j], "{j}: known too well");
+        let off = (fit.x[j] - TRUTH[j].ln()) / sigma[j];
+        assert!(off.abs() < 4.0, "{j}: {off} standard deviations off");
+    }
+}
+
 #[test]
 fn the_same_seed_gives_the_same_swarm_on_any_number_of_threads_and_from_any_start() {
     let problem = problem(0.0, 0.0);

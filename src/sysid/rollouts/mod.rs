@@ -24,7 +24,6 @@
 
 mod motion;
 mod objective;
-mod surface;
 
 use std::iter;
 
@@ -35,10 +34,10 @@ use super::evolution::{self, Candidate, Evolution};
 use super::fit::{Fit, Innovations, Iteration, Start, Status};
 use super::parameter::Parameters;
 use super::problem::Problem;
+use super::surface::{Surface, needed};
 use crate::compare::Settings;
 use crate::rng::{self, Purpose};
 pub(crate) use objective::{Objective, Rollouts};
-use surface::{Surface, needed};
 
 /// Settings of the method.
 #[derive(Debug, Clone, PartialEq)]
@@ -214,7 +213,7 @@ fn settle(
         if points.len() <= needed(n) {
             return Ok(());
         }
-        let surface = Surface::new(&fit.x, &spread, &points)?;
+        let surface = Surface::new(&fit.x, &spread, &points, f64::INFINITY)?;
         let (curvature, slope) = with_prior(&surface, parameters, &fit.x);
         let dx = surface.least(&curvature, &slope);
         let there: Vec<f64> = fit.x.iter().zip(&dx).map(|(x, d)| x + d).collect();

@@ -8,7 +8,7 @@
 //! w ∝ e^(−Σ ((x − x̄)/s)²/2)        x ← x + s √walk ξ as simulations are drawn        x̄ ← mean of x at the end
 //! ```
 //!
-//! and s falls from pass to pass (iterated filtering), as do the forces. The estimate is the mean of the last passes. Where
+//! and s falls from pass to pass (iterated filtering), as do the forces. Where parameters are held, all simulations have x̄, and x̄ has a log p. Where
 //! a block would leave too few, a part of its likelihood is weighed at its beginning, simulations are drawn and moved
 //! there, and the block is simulated again.
 //!
@@ -54,7 +54,6 @@ pub(super) struct Follower<'a> {
     begin: usize,
     /// (nv) size of forces
     force_scale: &'a [f64],
-    n: usize,
     pool: Pool,
 }
 
@@ -81,16 +80,19 @@ pub(super) struct Freedom<'a> {
     pub force: f64,
     /// (parameters) s of the module
     pub spread: &'a [f64],
+    /// whether parameters are held: all simulations have x̄
+    pub held: bool,
+    /// simulations
+    pub n: usize,
 }
 
 impl<'a> Follower<'a> {
-    /// `n` simulations a pass.
+    /// Behind the horizon of `swarm`.
     pub(super) fn new(
         course: &'a Course<'a>,
         swarm: &'a Swarm<'a>,
         x: &[f64],
         force_scale: &'a [f64],
-        n: usize,
     ) -> Self {
         // a simulation has made a step at least
         let begin = (swarm.horizon.floor() as usize).max(1);
@@ -120,7 +122,6 @@ impl<'a> Follower<'a> {
             swarm,
             blocks,
             force_scale,
-            n,
             pool: Pool::default(),
         }
     }
@@ -134,6 +135,12 @@ impl<'a> Follower<'a> {
         let blocks = self.blocks.iter().zip(&self.placed);
         let behind = blocks.filter(|(block, _)| block.first >= self.begin);
         behind.map(|(_, placed)| placed.len()).sum()
+    }
+
+    /// The nearest parameters to `x` that are looked for.
+    pub(super) fn inside(&self, x: &[f64]) -> Vec<f64> {
+        let each = x.iter().zip(&self.course.ranges);
+        each.map(|(x, (low, high))| x.clamp(*low, *high)).collect()
     }
 
     /// Simulations at the horizon, near `x`.
@@ -150,11 +157,14 @@ impl<'a> Follower<'a> {
             })
             .collect();
         let drawn = draw(&weights, rng::uniform(&mut stream(0), 0.0, 1.0));
-        let all = (0..self.n)
+        let all = (0..freedom.n)
             .into_par_iter()
             .map(|i| {
-                let z = &self.swarm.all[drawn[i * drawn.len() / self.n]].z;
-                let simulated = self.course.simulate(z, self.begin)?;
+                let mut z = self.swarm.all[drawn[i * drawn.len() / freedom.n]].z.clone();
+                if freedom.held {
+                    z[..x.len()].copy_from_slice(x);
+                }
+                let simulated = self.course.simulate(&z, self.begin)?;
                 Ok(simulated.map(|all| One {
                     states: all.into_iter().map(|s| s.end).collect(),
                     x: z[..x.len()].to_vec(),
@@ -304,6 +314,9 @@ impl<'a> Follower<'a> {
             let each = tangent.chunks_exact(tangent.len() / reference.len());
             for ((state, from), tangent) in one.states.iter_mut().zip(&reference).zip(each) {
                 *state = from.moved(problem, tangent)?;
+            }
+            if freedom.held {
+                continue;
             }
             for (j, (own, x)) in one.x.iter_mut().zip(x).enumerate() {
                 let step = WALK * freedom.spread[j] * rng::normal(&mut rng);

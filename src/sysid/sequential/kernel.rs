@@ -9,9 +9,9 @@ const REGULAR: f64 = 1e-9;
 
 /// z ← z̄ + √(1 − h²) (z − z̄) + h Σ^½ ξ
 pub(super) struct Kernel {
-    mean: DVector<f64>,
+    pub mean: DVector<f64>,
     /// Σ^½
-    root: DMatrix<f64>,
+    pub root: DMatrix<f64>,
 }
 
 impl Kernel {
@@ -44,6 +44,13 @@ impl Kernel {
             row *= *s;
         }
         Self { mean, root }
+    }
+
+    /// Σ⁻¹; 0 along what does not vary.
+    pub(super) fn precision(&self) -> DMatrix<f64> {
+        let n = self.mean.len();
+        let inverse = (&self.root * self.root.transpose()).pseudo_inverse(0.0);
+        inverse.unwrap_or_else(|_| DMatrix::zeros(n, n))
     }
 
     /// One of them, moved by the part `h`.

@@ -12,8 +12,9 @@
 //! is asked for, no force is left unexplained, and where the search begins does not matter within the bounds. It ends
 //! where simulations no longer find each other's neighbourhood: there the motion has become chaotic, or the model
 //! does not follow the recordings. What lies behind is followed from there by simulations that small forces push
-//! (`follow`), and the estimate is theirs. Intervals are those of the swarm at its horizon: what lies behind makes the
-//! estimate better by more than they say.
+//! (`follow`), which find the neighbourhood of the estimate; which point of it is likeliest, simulations tell that all have
+//! its parameters (`held`). Intervals are those of the swarm at its horizon: what lies behind makes the estimate better
+//! by more than they say.
 //!
 //! | symbol | name |
 //! | --- | --- |
@@ -23,10 +24,12 @@
 //!
 //! Reference: Chopin 2002, "A sequential particle filter method for static models".
 
+mod behind;
 mod conclude;
 mod course;
 mod first;
 mod follow;
+mod held;
 mod kernel;
 mod swarm;
 
@@ -35,9 +38,10 @@ use super::parameter::Parameter;
 use super::problem::Problem;
 use super::shooting::window;
 use super::{SysidError, joint, path, start};
+use behind::Behind;
 use course::Course;
 use first::First;
-use follow::{Follower, Freedom};
+use follow::Follower;
 use swarm::Swarm;
 
 /// Settings of the method.
@@ -72,20 +76,6 @@ const FEWEST: usize = 20;
 /// Steps, and part of the horizon, by which simulations go farther.
 const AHEAD: usize = 8;
 const PART_AHEAD: f64 = 0.06;
-/// Unexplained force of the first pass behind the horizon, as a part of the forces; the least of all; factor after a pass
-/// that loses the motion.
-const FIRST_FORCE: f64 = 0.01;
-const LEAST_FORCE: f64 = 0.004;
-const FREER: f64 = 2.0;
-/// Factor on forces and on the spread of parameters from pass to pass, and its least part.
-const COOL: f64 = 0.7;
-const LEAST_SPREAD: f64 = 0.2;
-/// Simulations of a pass for each chain.
-const PER_CHAIN: usize = 20;
-/// Cost of a pass, in what noise alone costs, from which it does not follow the recordings.
-const UNFOLLOWED: f64 = 2.0;
-/// Evidence (nats) by which a pass may lie below the best without having lost the motion for a while.
-const LOST: f64 = 15.0;
 /// Stirring below which the swarm has come to its end.
 const STUCK: f64 = 0.2;
 /// Standard deviations of its noise by which the cost of the best simulation may be too large.
@@ -158,41 +148,35 @@ pub fn solve(
     let np = course.ranges.len();
     let mut found = Found {
         x: mean[..np].to_vec(),
-        level: 0.0,
+        ..Found::default()
     };
     // nothing is to be found behind the horizon where all parameters are known as well as they have to be, and samples
     // whose delay is unknown belong to no block
     let is_open =
         swarm.horizon < course.end() as f64 && widest(problem, &sigma) >= FINE && !course.is_late();
-    if status == Status::Converged && is_open && settings.passes > 0 {
+    if status != Status::Interrupted && is_open && settings.passes > 0 {
         let scale = match &start.force_scale {
             Some(given) => given.clone(),
             None => joint::force_scale(problem, &start.x)?,
         };
-        let follower = Follower::new(
-            &course,
-            &swarm,
-            &start.x,
-            &scale,
-            settings.n_chains * PER_CHAIN,
-        );
-        let goes_on = behind(
-            &follower,
-            settings.passes,
-            &sigma[..np],
-            &mut found,
-            &mut record,
-        )?;
-        if !goes_on {
+        let behind = Behind {
+            follower: Follower::new(&course, &swarm, &start.x, &scale),
+            swarm: &swarm,
+            settings,
+            sigma: &sigma[..np],
+        };
+        if !behind.find(&mut found, &mut record)? {
             status = Status::Interrupted;
         }
     }
     conclude::conclude(&swarm, &course, found, smoothed, (status, history))
 }
 
-/// What is estimated, and with which forces left unexplained, as a part of the forces.
+/// What is estimated.
+#[derive(Default)]
 struct Found {
     x: Vec<f64>,
+    /// unexplained force, as a part of the forces
     level: f64,
 }
 
@@ -268,63 +252,4 @@ fn nothing(unlikely: bool, unknowns: usize) -> SysidError {
         )
     };
     SysidError::Setting { reason }
-}
-
-/// Passes behind the horizon, of which `found` becomes the mean of the last. Whether they were not interrupted.
-fn behind(
-    follower: &Follower<'_>,
-    passes: usize,
-    sigma: &[f64],
-    found: &mut Found,
-    record: &mut dyn FnMut(Iteration) -> bool,
-) -> Result<bool, SysidError> {
-    let mut x = found.x.clone();
-    let mut spread = sigma.to_vec();
-    let mut force = FIRST_FORCE;
-    let mut all: Vec<(f64, Vec<f64>)> = Vec::new();
-    let mut best = f64::NEG_INFINITY;
-    let mut goes_on = true;
-    for number in 0..passes as u64 {
-        if !goes_on {
-            break;
-        }
-        let freedom = Freedom {
-            force,
-            spread: &spread,
-        };
-        let most = UNFOLLOWED * 0.5 * follower.n_samples() as f64;
-        let passed = follower.pass(number, &x, &freedom)?;
-        let Some(passed) = passed.filter(|p| -p.evidence <= most) else {
-            force = (force * FREER).min(1.0);
-            continue;
-        };
-        best = best.max(passed.evidence);
-        let widest = widest(follower.problem(), &spread);
-        goes_on = record(Iteration {
-            level: force,
-            cost: -passed.evidence,
-            damping: 0.0,
-            horizon_s: None,
-            step: widest,
-            x: passed.x.clone(),
-        });
-        // a pass that has lost the motion for a while tells nothing of the parameters
-        if passed.evidence >= best - LOST {
-            x.clone_from(&passed.x);
-            all.push((passed.evidence, passed.x));
-        }
-        found.level = force;
-        force = (force * COOL).max(LEAST_FORCE);
-        for (s, full) in spread.iter_mut().zip(sigma) {
-            *s = (*s * COOL).max(LEAST_SPREAD * full);
-        }
-    }
-    all.retain(|(evidence, _)| *evidence >= best - LOST);
-    let last = &all[all.len() / 2..];
-    if !last.is_empty() {
-        found.x = (0..x.len())
-            .map(|j| last.iter().map(|(_, x)| x[j]).sum::<f64>() / last.len() as f64)
-            .collect();
-    }
-    Ok(goes_on)
 }

@@ -4,13 +4,13 @@
 //! F(z) ≈ F₀ + g·z + ½ zᵀ H z        fᵢ(z) ≈ fᵢ₀ + gᵢ·z + …        z = (x − centre)/unit
 //! ```
 //!
-//! are least-squares fits to all candidates of a cloud. The roughness, whatever two candidates next to each other differ
-//! by, averages out; its size is `rough`.
+//! are least-squares fits to all candidates of a cloud, each weighing 1/(1 + (ΔF/near)²) with ΔF its cost above the least.
+//! The roughness, whatever two candidates next to each other differ by, averages out; its size is `rough`.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
-use crate::sysid::SysidError;
-use crate::sysid::box_qp::solve_in_box;
+use super::SysidError;
+use super::box_qp::solve_in_box;
 
 /// Least curvature, as a part of the greatest: beyond, the cloud tells nothing.
 const LEAST_CURVATURE: f64 = 1e-6;
@@ -36,11 +36,13 @@ pub(super) fn needed(n: usize) -> usize {
 }
 
 impl Surface {
-    /// Through `points` (x; costs, the sum first and then each start's); `unit` is the size of the cloud by x.
+    /// Through `points` (x; costs, the sum first and then each start's); `unit` is the size of the cloud by x. Points
+    /// that cost `near` more than the best count half; infinite: all the same.
     pub(super) fn new(
         centre: &[f64],
         unit: &[f64],
         points: &[(Vec<f64>, Vec<f64>)],
+        near: f64,
     ) -> Result<Self, SysidError> {
         let n = centre.len();
         let z = |x: &[f64], i: usize| (x[i] - centre[i]) / unit[i];
@@ -54,9 +56,14 @@ impl Surface {
                 Some(k) => z(x, pairs[k].0) * z(x, pairs[k].1),
             }
         });
-        let values = DMatrix::from_fn(points.len(), points[0].1.len(), |row, column| {
-            points[row].1[column]
+        let best = points.iter().map(|p| p.1[0]).fold(f64::INFINITY, f64::min);
+        let counts = DVector::from_fn(points.len(), |row, _| {
+            (1.0 / (1.0 + ((points[row].1[0] - best) / near).powi(2))).sqrt()
         });
+        let values = DMatrix::from_fn(points.len(), points[0].1.len(), |row, column| {
+            counts[row] * points[row].1[column]
+        });
+        let design = DMatrix::from_diagonal(&counts) * design;
         let svd = design.clone().svd(true, true);
         let tolerance = 1e-10 * svd.singular_values.max();
         let fitted = svd
@@ -126,6 +133,24 @@ mod tests {
     use crate::rng::{self, Purpose};
 
     #[test]
+    fn far_points_that_no_quadratic_holds_for_count_little() {
+        let mut rng = rng::stream(3, Purpose::Model, 0, 0);
+        let points: Vec<(Vec<f64>, Vec<f64>)> = (0..200)
+            .map(|_| {
+                let x = 3.0 * rng::normal(&mut rng);
+                (vec![x], vec![(x - 0.5).powi(2) + x.exp()])
+            })
+            .collect();
+        // 2 (x − 0.5) + exp x = 0
+        let least = |near| {
+            let surface = Surface::new(&[0.0], &[3.0], &points, near).expect("fits");
+            surface.least(&surface.curvature, &surface.slope)[0]
+        };
+        assert!(least(0.5).abs() < 0.2, "{}", least(0.5));
+        assert!(least(f64::INFINITY).abs() > 0.5, "{}", least(f64::INFINITY));
+    }
+
+    #[test]
     fn a_quadratic_is_found_under_roughness() {
         let mut rng = rng::stream(2, Purpose::Model, 0, 0);
         let truth = [0.3, -20.0];
@@ -139,7 +164,7 @@ mod tests {
                 (x, vec![parts[0] + parts[1] + rough, parts[0], parts[1]])
             })
             .collect();
-        let surface = Surface::new(&[0.0, 0.0], &unit, &points).expect("fits");
+        let surface = Surface::new(&[0.0, 0.0], &unit, &points, f64::INFINITY).expect("fits");
         let least = surface.least(&surface.curvature, &surface.slope);
         assert!((least[0] - truth[0]).abs() < 0.02, "{least:?}");
         assert!((least[1] - truth[1]).abs() < 2.0, "{least:?}");
