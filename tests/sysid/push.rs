@@ -176,14 +176,14 @@ fn push_task_at_rest_from_sixteen_random_starts() {
 
 /// As above, with half a millimetre of noise on every position.
 #[test]
-#[ignore = "an hour"]
+#[ignore = "two hours"]
 fn push_task_at_rest_with_noise_from_sixteen_random_starts() {
     assert_eq!(successes(&sequential(100), (5e-4, 3), 5e-4, 0.10, 16), 16);
 }
 
 /// As above, with other draws of the noise.
 #[test]
-#[ignore = "half an hour"]
+#[ignore = "an hour"]
 fn push_task_at_rest_with_other_noise() {
     let good = |draw| successes(&sequential(100), (5e-4, draw), 5e-4, 0.10, 1);
     assert_eq!((4..12).map(good).sum::<u64>(), 8);
