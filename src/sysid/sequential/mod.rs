@@ -53,7 +53,7 @@ pub struct SequentialSettings {
     pub at_rest: bool,
     /// most horizons
     pub max_iterations: usize,
-    /// over what is behind the last horizon
+    /// over what is behind the last horizon; half of them where points are weighed afterwards (`held`)
     pub passes: usize,
     /// of the draws
     pub seed: u64,
