@@ -24,7 +24,7 @@ pub(super) struct Surface {
     pub slope: DVector<f64>,
     /// (starts) gᵢ by x, at the centre
     pub slopes: Vec<DVector<f64>>,
-    /// standard deviation of F around it
+    /// standard deviation of F around it, points counted as in [`Surface::new`]
     pub rough: f64,
     /// where the cloud reaches to, from the centre (lower, upper)
     reach: (Vec<f64>, Vec<f64>),
@@ -48,22 +48,22 @@ impl Surface {
         let z = |x: &[f64], i: usize| (x[i] - centre[i]) / unit[i];
         let pairs: Vec<(usize, usize)> =
             (0..n).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
+        let best = points.iter().map(|p| p.1[0]).fold(f64::INFINITY, f64::min);
+        let counts: Vec<f64> = (points.iter())
+            .map(|p| (1.0 / (1.0 + ((p.1[0] - best) / near).powi(2))).sqrt())
+            .collect();
         let design = DMatrix::from_fn(points.len(), needed(n), |row, column| {
             let x = &points[row].0;
-            match column.checked_sub(1 + n) {
+            let of = match column.checked_sub(1 + n) {
                 None if column == 0 => 1.0,
                 None => z(x, column - 1),
                 Some(k) => z(x, pairs[k].0) * z(x, pairs[k].1),
-            }
-        });
-        let best = points.iter().map(|p| p.1[0]).fold(f64::INFINITY, f64::min);
-        let counts = DVector::from_fn(points.len(), |row, _| {
-            (1.0 / (1.0 + ((points[row].1[0] - best) / near).powi(2))).sqrt()
+            };
+            counts[row] * of
         });
         let values = DMatrix::from_fn(points.len(), points[0].1.len(), |row, column| {
             counts[row] * points[row].1[column]
         });
-        let design = DMatrix::from_diagonal(&counts) * design;
         let svd = design.clone().svd(true, true);
         let tolerance = 1e-10 * svd.singular_values.max();
         let fitted = svd

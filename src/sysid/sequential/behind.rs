@@ -5,7 +5,6 @@ use nalgebra::DVector;
 use super::follow::{Follower, Freedom};
 use super::held::{self, Clouds};
 use super::kernel::Kernel;
-use super::swarm::Swarm;
 use super::{Found, SequentialSettings, widest};
 use crate::sysid::SysidError;
 use crate::sysid::fit::Iteration;
@@ -30,7 +29,6 @@ const LEAST_SCATTER: f64 = 0.05;
 /// What is searched.
 pub(super) struct Behind<'a> {
     pub follower: Follower<'a>,
-    pub swarm: &'a Swarm<'a>,
     pub settings: &'a SequentialSettings,
     /// spread of parameters at the horizon
     pub sigma: &'a [f64],
@@ -43,15 +41,15 @@ impl Behind<'_> {
         found: &mut Found,
         record: &mut dyn FnMut(Iteration) -> bool,
     ) -> Result<bool, SysidError> {
-        let clouds = held::suits(found.x.len());
+        let weighed = held::suits(found.x.len());
         // clouds need a neighbourhood only
-        let passes = if clouds {
+        let passes = if weighed {
             self.settings.passes.div_ceil(2)
         } else {
             self.settings.passes
         };
         let (passed, goes_on) = self.passes(passes, found, record)?;
-        let last = if clouds { 0 } else { passed.len() / 2 };
+        let last = if weighed { 0 } else { passed.len() / 2 };
         let passed = &passed[last..];
         if passed.is_empty() {
             return Ok(goes_on);
@@ -59,7 +57,7 @@ impl Behind<'_> {
         let n = passed.len() as f64;
         let mean_of = |of: &dyn Fn(&[f64]) -> f64| passed.iter().map(|x| of(x)).sum::<f64>() / n;
         found.x = (0..self.sigma.len()).map(|j| mean_of(&|x| x[j])).collect();
-        if !clouds || !goes_on {
+        if !weighed || !goes_on {
             return Ok(goes_on);
         }
         let scatter: Vec<f64> = (self.sigma.iter().zip(&found.x).enumerate())
@@ -69,7 +67,7 @@ impl Behind<'_> {
             })
             .collect();
         let near: Vec<f64> = self.sigma.iter().map(|s| LEAST_SPREAD * s).collect();
-        let all: Vec<DVector<f64>> = (self.swarm.all.iter())
+        let all: Vec<DVector<f64>> = (self.follower.swarm.all.iter())
             .map(|p| DVector::from_column_slice(&p.z[..near.len()]))
             .collect();
         let clouds = Clouds {
@@ -81,7 +79,6 @@ impl Behind<'_> {
                 n: self.settings.n_chains * PER_CHAIN_HELD,
             },
             known: Kernel::of(&all),
-            seed: self.settings.seed,
         };
         let mut goes_on = true;
         let held = clouds.least(&found.x, &scatter, &mut |iteration| {

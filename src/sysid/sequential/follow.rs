@@ -45,7 +45,7 @@ const BLOCK: usize = 10;
 pub(super) struct Follower<'a> {
     course: &'a Course<'a>,
     /// where passes begin, and what is drawn from
-    swarm: &'a Swarm<'a>,
+    pub swarm: &'a Swarm<'a>,
     blocks: Vec<Window>,
     placed: Vec<Vec<Placed>>,
     /// one a trial (knots × nu)

@@ -52,7 +52,6 @@ pub(super) struct Clouds<'a, 'b> {
     pub freedom: Freedom<'a>,
     /// what the swarm knows of parameters at its horizon
     pub known: Kernel,
-    pub seed: u64,
 }
 
 /// Parameters and their cost.
@@ -89,10 +88,10 @@ impl Clouds<'_, '_> {
         let mut points = Vec::new();
         for round in 0..CLOUDS {
             if round > 0 {
-                let Some(next) = next(&mut points) else {
+                let Some(narrower) = next(&mut points) else {
                     return Ok(None);
                 };
-                cloud = next;
+                cloud = narrower;
             }
             if !self.add(&mut points, &cloud, round, record)? {
                 return Ok(None);
@@ -123,7 +122,7 @@ impl Clouds<'_, '_> {
         round: u64,
         record: &mut dyn FnMut(Iteration) -> bool,
     ) -> Result<bool, SysidError> {
-        let mut rng = rng::stream(self.seed, Purpose::Swarm, FIRST, round);
+        let mut rng = rng::stream(self.follower.swarm.seed, Purpose::Swarm, FIRST, round);
         let n = (POINTS * needed(cloud.mean.len())) as u64;
         for k in 0..n {
             let x = self

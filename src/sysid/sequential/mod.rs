@@ -161,7 +161,6 @@ pub fn solve(
         };
         let behind = Behind {
             follower: Follower::new(&course, &swarm, &start.x, &scale),
-            swarm: &swarm,
             settings,
             sigma: &sigma[..np],
         };
