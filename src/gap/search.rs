@@ -17,7 +17,6 @@ use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
 use super::screen::{Candidate, Look, Screen};
-use super::weigh::ROUGH_ITERATIONS;
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 use crate::sysid::SysidError;
@@ -95,8 +94,8 @@ pub(super) struct Search<'a> {
 
 impl<'a> Search<'a> {
     /// Fits the base model, channels weighed by what is left of them, see [`Windows::weigh`]: parameters that would have
-    /// to explain missing physics do not leave what their priors allow. The first fit, as if all but noise were explained,
-    /// only says how much is left at most; what it makes of the parameters is nothing to go on from.
+    /// to explain missing physics do not leave what their priors allow. So from the first step on: as if all but noise were
+    /// explained, that would lead past all priors, where other first states of windows fit and no step leads back.
     ///
     /// # Errors
     /// See [`Windows::fit`].
@@ -109,8 +108,7 @@ impl<'a> Search<'a> {
         let noise: Vec<f64> = windows.problem.channels.iter().map(|c| c.sigma).collect();
         let start = windows.problem.parameters.start();
         windows.choose_step(&start)?;
-        let rough = windows.fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?;
-        windows.weigh(&rough.x, &noise)?;
+        windows.followed(&start)?;
         let from = (&*start, &*noise);
         let fit = windows.fit_weighed(from, FIRST_ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut |i| watch.fit(i))
@@ -176,7 +174,6 @@ impl<'a> Search<'a> {
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn settle(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
-        self.windows.weigh(&self.x, &self.noise)?;
         let now = (&*self.x, &*self.noise);
         let fit = (self.windows).fit_weighed(now, ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut watch.fit_nearly())
