@@ -7,8 +7,9 @@
 //! φ = (r(x, β) − r(x, 0))/β
 //! ```
 //!
-//! for the candidates that explain most. Beside effects that are in the model there are those that they may be mistaken for
-//! ([`super::lookalike`]): of these little is expected, and a small size gives the derivative.
+//! for the candidates that explain most. A size tried first may be a hundred times too large, as drag that brings a joint to
+//! rest, and then expects the wrong sign: the next size is one that would do all that is left. So it is beside effects that are in
+//! the model for those that they may be mistaken for ([`super::lookalike`]), of which little is expected.
 
 use super::GapError;
 use super::effect::{self, Effect, Place, Sign};
@@ -20,7 +21,7 @@ use super::together::Ask;
 
 /// Candidates that explain most.
 const MOST: usize = 16;
-/// Part of the size tried first below which there is nothing to look at.
+/// Part of a size that would do all that is left, below which there is nothing to look at.
 const LEAST: f64 = 0.02;
 
 impl Look<'_> {
@@ -62,13 +63,14 @@ impl Look<'_> {
                 let parameter = &parameters[p];
                 let most = parameter.high * parameter.scale(&scales);
                 let beta = beta.clamp(-most, most);
+                let length: f64 = columns[*c].parts.iter().map(|p| p.norm_squared()).sum();
+                let whole = (2.0 * normal.cost() / length).sqrt().min(size.abs());
                 let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
-                let least = LEAST * size.abs();
-                let little = wrong || beta.abs() < least;
-                if parameter.is_whole() || (little && !beside) {
+                let little = beta.abs() < LEAST * whole;
+                if parameter.is_whole() || (little && !wrong && !beside) {
                     continue;
                 }
-                let beta = if little { least } else { beta };
+                let beta = if wrong || little { whole } else { beta };
                 let mut values = values.clone();
                 values[p] = beta;
                 which.push(*c);
@@ -97,5 +99,32 @@ impl Look<'_> {
             .filter_map(|(name, _)| effect::named(name));
         let name = effect.about().name;
         present.any(|own| own.about().name == name || effect::are_neighbours(own, effect))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gap::effect::write;
+    use crate::gap::masses::{chosen, machine, searching};
+
+    /// Of the drag that is tried first, a mass would come to rest.
+    #[test]
+    fn drag_is_expected_as_it_is_whatever_is_tried_first() {
+        const DRAG: f64 = 0.025;
+        let base = machine(r#"damping=".2""#, "");
+        let law = chosen(&base, "quadratic_drag", "a", &[DRAG]);
+        let hidden = write(&base, law.effect, &law.place, &law.values).expect("written");
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&base, &hidden.file, config, |search, watch| {
+            let screen = search.screen(watch).expect("screened").expect("whole");
+            let drag = (screen.candidates.iter())
+                .find(|c| c.effect.about().name == "quadratic_drag" && c.place == law.place)
+                .expect("a candidate");
+            assert!(
+                (drag.values[0] / DRAG - 1.0).abs() < 0.1,
+                "{:?}",
+                drag.values
+            );
+        });
     }
 }
