@@ -17,6 +17,7 @@ use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
 use super::screen::{Candidate, Look, Screen};
+use super::weigh::ROUGH_ITERATIONS;
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 use crate::sysid::SysidError;
@@ -94,8 +95,9 @@ pub(super) struct Search<'a> {
 
 impl<'a> Search<'a> {
     /// Fits the base model, channels weighed by what is left of them, see [`Windows::weigh`]: parameters that would have
-    /// to explain missing physics do not leave what their priors allow. So from the first step on: as if all but noise were
-    /// explained, that would lead past all priors, where other first states of windows fit and no step leads back.
+    /// to explain missing physics do not leave what their priors allow. Where they end depends on the first weights: by what
+    /// nominal numbers leave, or by what is left when all but noise is explained, which may lead past all priors. Of both fits
+    /// the one is taken whose parameters are nearer to their priors; the other has explained more by them than they can.
     ///
     /// # Errors
     /// See [`Windows::fit`].
@@ -109,10 +111,20 @@ impl<'a> Search<'a> {
         let start = windows.problem.parameters.start();
         windows.choose_step(&start)?;
         windows.followed(&start)?;
-        let from = (&*start, &*noise);
-        let fit = windows.fit_weighed(from, FIRST_ITERATIONS, |windows, x, most| {
-            windows.fit(x, most, &mut |i| watch.fit(i))
-        })?;
+        let mut explained = windows.clone();
+        let rough = explained.fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?;
+        explained.weigh(&rough.x, &noise)?;
+        windows.weigh(&start, &noise)?;
+        let mut fitted = |mut windows: Windows| {
+            let from = (&*start, &*noise);
+            let fit = windows.fit_weighed(from, FIRST_ITERATIONS, |windows, x, most| {
+                windows.fit(x, most, &mut |i| watch.fit(i))
+            })?;
+            let prior = windows.problem.parameters.prior_cost(&fit.x);
+            Ok::<_, GapError>((prior, windows, fit))
+        };
+        let (one, other) = (fitted(windows)?, fitted(explained)?);
+        let (_, windows, fit) = if one.0 <= other.0 { one } else { other };
         Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
     }
 
@@ -174,6 +186,7 @@ impl<'a> Search<'a> {
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn settle(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
+        self.windows.weigh(&self.x, &self.noise)?;
         let now = (&*self.x, &*self.noise);
         let fit = (self.windows).fit_weighed(now, ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut watch.fit_nearly())

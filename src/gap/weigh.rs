@@ -26,15 +26,15 @@ use crate::sysid::SysidError;
 /// Part of the largest information below which a direction says nothing.
 const LEAST: f64 = 1e-8;
 /// Iterations of a fit where weights are far from what they will be.
-const ROUGH_ITERATIONS: usize = 5;
+pub(super) const ROUGH_ITERATIONS: usize = 5;
 /// Times that channels are weighed anew, at most.
 const WEIGHINGS: usize = 8;
 /// Factor by which a weight changes, from which on it is far from what it will be.
 const FAR: f64 = 2.0;
 
 impl Windows {
-    /// Fits from `x` on, weighed by what is left there, until weights are near what the fit leaves, the last time with so many
-    /// iterations; `fit` is told from where, and how many.
+    /// Fits from `x` on until weights are near what is left, the last time with so many iterations; `fit` is told from where,
+    /// and how many.
     ///
     /// # Errors
     /// The engine refuses a number; of `fit`.
@@ -44,7 +44,6 @@ impl Windows {
         iterations: usize,
         mut fit: impl FnMut(&mut Self, &[f64], usize) -> Result<Fitted, SysidError>,
     ) -> Result<Fitted, SysidError> {
-        self.weigh(x, noise)?;
         let mut fitted = fit(self, x, ROUGH_ITERATIONS)?;
         for _ in 0..WEIGHINGS {
             if self.weigh(&fitted.x, noise)? < FAR {
