@@ -8,8 +8,11 @@
 //! ```
 //!
 //! for the candidates that explain most. A size tried first may be a hundred times too large, as drag that brings a joint to
-//! rest, and then expects the wrong sign: the next size is one that would do all that is left. So it is beside effects that are in
-//! the model for those that they may be mistaken for ([`super::lookalike`]), of which little is expected.
+//! rest, and then expects the wrong sign: the next size is one that would do all that is left. Beside effects that are in the model
+//! there are those that they may be mistaken for ([`super::lookalike`]): of these little is expected, and a small size gives the
+//! derivative.
+
+use nalgebra::DVector;
 
 use super::GapError;
 use super::effect::{self, Effect, Place, Sign};
@@ -21,7 +24,8 @@ use super::together::Ask;
 
 /// Candidates that explain most.
 const MOST: usize = 16;
-/// Part of a size that would do all that is left, below which there is nothing to look at.
+/// Part of a size that would do all that is left, below which there is nothing to look at; and of the size tried first, beside
+/// effects in the model.
 const LEAST: f64 = 0.02;
 
 impl Look<'_> {
@@ -63,14 +67,19 @@ impl Look<'_> {
                 let parameter = &parameters[p];
                 let most = parameter.high * parameter.scale(&scales);
                 let beta = beta.clamp(-most, most);
-                let length: f64 = columns[*c].parts.iter().map(|p| p.norm_squared()).sum();
+                let length: f64 = columns[*c].parts.iter().map(DVector::norm_squared).sum();
                 let whole = (2.0 * normal.cost() / length).sqrt().min(size.abs());
                 let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
-                let little = beta.abs() < LEAST * whole;
+                let least = LEAST * if beside { size.abs() } else { whole };
+                let little = beta.abs() < least;
                 if parameter.is_whole() || (little && !wrong && !beside) {
                     continue;
                 }
-                let beta = if wrong || little { whole } else { beta };
+                let beta = match (wrong || little, beside) {
+                    (false, _) => beta,
+                    (true, true) => least,
+                    (true, false) => whole,
+                };
                 let mut values = values.clone();
                 values[p] = beta;
                 which.push(*c);
