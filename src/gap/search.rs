@@ -97,7 +97,8 @@ impl<'a> Search<'a> {
     /// Fits the base model, channels weighed by what is left of them, see [`Windows::weigh`]: parameters that would have
     /// to explain missing physics do not leave what their priors allow. Where they end depends on the first weights: by what
     /// nominal numbers leave, or by what is left when all but noise is explained, which may lead past all priors. Of both fits
-    /// the one is taken whose parameters are nearer to their priors; the other has explained more by them than they can.
+    /// the one is taken whose parameters are nearer to their priors, as the other has explained more by them than they can; the
+    /// second where there are no priors.
     ///
     /// # Errors
     /// See [`Windows::fit`].
@@ -124,7 +125,7 @@ impl<'a> Search<'a> {
             Ok::<_, GapError>((prior, windows, fit))
         };
         let (one, other) = (fitted(windows)?, fitted(explained)?);
-        let (_, windows, fit) = if one.0 <= other.0 { one } else { other };
+        let (_, windows, fit) = if one.0 < other.0 { one } else { other };
         Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
     }
 
