@@ -21,7 +21,7 @@ use super::weigh::ROUGH_ITERATIONS;
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 use crate::sysid::SysidError;
-use crate::sysid::parameter::ParameterRule;
+use crate::sysid::parameter::{Parameter, ParameterRule};
 
 /// What an effect has to reach.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,8 +97,8 @@ impl<'a> Search<'a> {
     /// Fits the base model, channels weighed by what is left of them, see [`Windows::weigh`]: parameters that would have
     /// to explain missing physics do not leave what their priors allow. Where they end depends on the first weights: by what
     /// nominal numbers leave, or by what is left when all but noise is explained, which may lead past all priors. Of both fits
-    /// the one is taken whose parameters are nearer to their priors, as the other has explained more by them than they can; the
-    /// second where there are no priors.
+    /// the one is taken whose parameters are nearer to their priors, as the other has explained more by them than they can;
+    /// without priors the second alone is made.
     ///
     /// # Errors
     /// See [`Windows::fit`].
@@ -115,7 +115,6 @@ impl<'a> Search<'a> {
         let mut explained = windows.clone();
         let rough = explained.fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?;
         explained.weigh(&rough.x, &noise)?;
-        windows.weigh(&start, &noise)?;
         let mut fitted = |mut windows: Windows| {
             let from = (&*start, &*noise);
             let fit = windows.fit_weighed(from, FIRST_ITERATIONS, |windows, x, most| {
@@ -124,8 +123,17 @@ impl<'a> Search<'a> {
             let prior = windows.problem.parameters.prior_cost(&fit.x);
             Ok::<_, GapError>((prior, windows, fit))
         };
-        let (one, other) = (fitted(windows)?, fitted(explained)?);
-        let (_, windows, fit) = if one.0 < other.0 { one } else { other };
+        let mut nearest = fitted(explained)?;
+        let parameters = &windows.problem.parameters;
+        let has_prior = |p: &Parameter| p.prior_sigma.is_finite();
+        if parameters.iter_free().any(has_prior) {
+            windows.weigh(&start, &noise)?;
+            let other = fitted(windows)?;
+            if other.0 < nearest.0 {
+                nearest = other;
+            }
+        }
+        let (_, windows, fit) = nearest;
         Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
     }
 
