@@ -5,7 +5,7 @@ mod common;
 use std::sync::Arc;
 
 use common::driven::{self, FRICTION, channel, config};
-use common::program::phantom;
+use common::program::succeeds;
 use phantom::compare::Settings;
 use phantom::gap::effect::ModelFile;
 use phantom::gap::result::Verdict;
@@ -274,39 +274,40 @@ fn where_nothing_is_hidden_nothing_is_found() {
 fn a_fit_from_afar_comes_to_the_noise() {
     let dir = tempfile::tempdir().expect("a directory");
     let root = |path: &str| format!("{}/{path}", env!("CARGO_MANIFEST_DIR"));
-    let run = |args: &[&str]| {
-        let done = phantom(dir.path(), args);
-        let said = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert!(done.status.success(), "{said}");
-    };
     let rig = root("rigs/finger.toml");
-    run(&[
-        "record",
-        "--rig",
-        &rig,
-        "--behaviour",
-        "reversals",
-        "--seconds",
-        "3",
-        "--seed",
-        "9502",
-        "--out",
-        "f.mcap",
-    ]);
+    succeeds(
+        dir.path(),
+        &[
+            "record",
+            "--rig",
+            &rig,
+            "--behaviour",
+            "reversals",
+            "--seconds",
+            "3",
+            "--seed",
+            "9502",
+            "--out",
+            "f.mcap",
+        ],
+    );
     let (model, parameters) = (root("xml/finger.xml"), root("parameters/finger.toml"));
-    run(&[
-        "gap",
-        "--model",
-        &model,
-        "--parameters",
-        &parameters,
-        "--train",
-        "f.mcap",
-        "--effects",
-        "torque_offset",
-        "--out",
-        "gap",
-    ]);
+    succeeds(
+        dir.path(),
+        &[
+            "gap",
+            "--model",
+            &model,
+            "--parameters",
+            &parameters,
+            "--train",
+            "f.mcap",
+            "--effects",
+            "torque_offset",
+            "--out",
+            "gap",
+        ],
+    );
     let json = std::fs::read_to_string(dir.path().join("gap/gap.json")).expect("written");
     let answer: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     let left = answer["remaining"]["after"].as_f64().expect("a number");

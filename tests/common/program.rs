@@ -12,3 +12,11 @@ pub(crate) fn phantom(folder: &Path, args: &[&str]) -> Output {
         .output()
         .expect("the program starts")
 }
+
+/// Runs the program, which has to succeed; what it prints.
+pub(crate) fn succeeds(folder: &Path, args: &[&str]) -> String {
+    let output = phantom(folder, args);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{args:?}: {message}");
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}

@@ -1,6 +1,5 @@
 //! The program with supplemented models: training, evaluation, rigs, comparisons.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use phantom::compare::{self, Settings};
@@ -10,7 +9,7 @@ use phantom::recording::Recording;
 use phantom::rig::{Rig, RigConfig, Trial, behaviour};
 use phantom::supplement;
 
-use crate::common::program::phantom;
+use crate::common::program::{phantom, succeeds};
 
 fn shipped() -> String {
     std::fs::read_to_string("xml/phantom.xml").expect("the shipped model")
@@ -47,13 +46,6 @@ fn supplemented() -> String {
 
 fn model(text: &str) -> Model {
     supplement::load_text(text, "xml/phantom.xml").unwrap_or_else(|e| panic!("{e}"))
-}
-
-fn succeeds(folder: &Path, args: &[&str]) -> String {
-    let output = phantom(folder, args);
-    let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{args:?}: {message}");
-    String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
 /// Train, test, record and compare on the command line: with the supplement all results differ, and nothing else is
