@@ -8,9 +8,9 @@
 //! w ∝ e^(−Σ ((x − x̄)/s)²/2)        x ← x + s √walk ξ as simulations are drawn        x̄ ← mean of x at the end
 //! ```
 //!
-//! and s falls from pass to pass (iterated filtering), as do the forces. Where parameters are held, all simulations have x̄, and x̄ has a log p. Where
-//! a block would leave too few, a part of its likelihood is weighed at its beginning, simulations are drawn and moved
-//! there, and the block is simulated again.
+//! and s falls from pass to pass (iterated filtering), as do the forces. Where parameters are held, all simulations have x̄,
+//! and x̄ has a log p. Where a block would leave too few, a part of its likelihood is weighed at its beginning, simulations
+//! are drawn and moved there, and the block is simulated again.
 //!
 //! References: Ionides, Nguyen, Atchadé, Stoev, King 2015, "Inference for dynamic and latent variable models via
 //! iterated, perturbed Bayes maps"; Liu and West 2001, "Combined parameter and state estimation in simulation-based
