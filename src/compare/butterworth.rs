@@ -7,15 +7,34 @@
 //! c = 1 + K/Q + K²,  b = K²/c,  a1 = 2 (K² - 1)/c,  a2 = (1 - K/Q + K²)/c
 //! ```
 //!
-//! Forwards and backwards together the gain at the cutoff is 1/2 and the phase 0. Both ends are continued by their
-//! point reflection, so that a constant or a ramp passes unchanged.
+//! Forwards and backwards together the gain at the cutoff is 1/2 and the phase 0. Both ends are continued: by their
+//! point reflection, so that a constant or a ramp passes unchanged; or mirrored, where what is noise at the very end would
+//! shift all of that by twice as much.
 
 /// 1 / (2 cos θ) of the pole pairs at θ = π/8 and 3π/8.
 const QUALITY: [f64; 2] = [0.541_196_100_146_197, 1.306_562_964_876_376_5];
 
+/// How a signal goes on beyond its ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Beyond {
+    /// reflected in its last point
+    Reflected,
+    /// mirrored in time
+    Mirrored,
+}
+
+impl Beyond {
+    fn value(self, end: f64, inside: f64) -> f64 {
+        match self {
+            Self::Reflected => 2.0 * end - inside,
+            Self::Mirrored => inside,
+        }
+    }
+}
+
 /// Filter `n × width` values, column by column. `cutoff` is the frequency times the sample interval; at 1/2 and above
 /// nothing is left to remove.
-pub(super) fn low_pass(values: &mut [f64], width: usize, cutoff: f64) {
+pub(super) fn low_pass(values: &mut [f64], width: usize, cutoff: f64, beyond: Beyond) {
     let n = values.len() / width.max(1);
     if cutoff >= 0.5 || n < 4 {
         return;
@@ -24,8 +43,8 @@ pub(super) fn low_pass(values: &mut [f64], width: usize, cutoff: f64) {
     for column in 0..width {
         let signal: Vec<f64> = values.iter().skip(column).step_by(width).copied().collect();
         let (first, last) = (signal[0], signal[n - 1]);
-        let before = (1..=padding).rev().map(|i| 2.0 * first - signal[i]);
-        let after = (1..=padding).map(|i| 2.0 * last - signal[n - 1 - i]);
+        let before = (1..=padding).rev().map(|i| beyond.value(first, signal[i]));
+        let after = (1..=padding).map(|i| beyond.value(last, signal[n - 1 - i]));
         let mut padded: Vec<f64> = before.chain(signal.iter().copied()).chain(after).collect();
         for _ in 0..2 {
             for quality in QUALITY {
@@ -72,7 +91,7 @@ mod tests {
         let cutoff = 0.05_f64;
         for frequency in [0.01_f64, 0.05, 0.1] {
             let mut filtered = wave(frequency);
-            low_pass(&mut filtered, 1, cutoff);
+            low_pass(&mut filtered, 1, cutoff, Beyond::Reflected);
             // bilinear transform: frequencies appear as their tangents
             let pi = std::f64::consts::PI;
             let ratio = (pi * frequency).tan() / (pi * cutoff).tan();
@@ -90,7 +109,7 @@ mod tests {
     #[test]
     fn ramps_pass_and_columns_do_not_mix() {
         let mut values: Vec<f64> = (0..300).flat_map(|i| [f64::from(i), 7.0]).collect();
-        low_pass(&mut values, 2, 0.1);
+        low_pass(&mut values, 2, 0.1, Beyond::Reflected);
         for (i, row) in values.chunks_exact(2).enumerate() {
             assert!((row[0] - i as f64).abs() < 1e-2, "{i}: {}", row[0]);
             assert!((row[1] - 7.0).abs() < 1e-9);

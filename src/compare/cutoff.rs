@@ -11,7 +11,7 @@
 //! factor is for what is known of σ, and for motion that is lost in it. Unfiltered, states of a fast recording have
 //! velocities of noise: from two samples apart it is σ/(√2 h).
 
-use super::butterworth::low_pass;
+use super::butterworth::{Beyond, low_pass};
 use super::samples::{Samples, median_interval};
 use crate::recording::{Kind, Recording};
 
@@ -58,7 +58,7 @@ fn lowest(values: &[f64], sigma: f64) -> Option<f64> {
     let mut tried = tried.take_while(|f| *f < HIGHEST);
     tried.find(|f| {
         let mut passed = values.to_vec();
-        low_pass(&mut passed, 1, *f);
+        low_pass(&mut passed, 1, *f, Beyond::Reflected);
         let taken: f64 = values
             .iter()
             .zip(&passed)

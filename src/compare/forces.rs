@@ -19,7 +19,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-use super::butterworth::low_pass;
+use super::butterworth::{Beyond, low_pass};
 use super::closure::Closure;
 use super::{CompareError, Settings, States};
 use crate::mujoco::{Data, Integrator, Measures, Model, MujocoError, ObjectKind};
@@ -220,6 +220,10 @@ fn torques(
 ) -> Vec<Signal> {
     let interval = states.interval_s();
     let n = rows.first().map_or(0, |row| row.torques.len());
+    let inner = match (0..rows.len()).find(|k| is_inner(states, settings, *k)) {
+        Some(first) => first..rows.len() - first,
+        None => 0..0,
+    };
     let column = |i: usize| {
         let joint = model.dof_jntid()[actuated[i]] as usize;
         let name = model.name(ObjectKind::Joint, joint).unwrap_or("joint");
@@ -235,8 +239,19 @@ fn torques(
         };
         let (mut computed, mut measured) = (pick(0), pick(1));
         if let Some(cutoff) = settings.force_cutoff_hz {
-            low_pass(&mut computed, 1, cutoff * interval);
-            low_pass(&mut measured, 1, cutoff * interval);
+            // ends, of which no motion says the force, would spread
+            low_pass(
+                &mut computed[inner.clone()],
+                1,
+                cutoff * interval,
+                Beyond::Mirrored,
+            );
+            low_pass(
+                &mut measured[inner.clone()],
+                1,
+                cutoff * interval,
+                Beyond::Mirrored,
+            );
         }
         let keep = |k: &usize| used(states, settings, *k);
         let kept: Vec<usize> = (0..rows.len()).filter(keep).collect();
@@ -258,9 +273,13 @@ fn torques(
 
 /// Whether sample `k` is neither at an end nor between those kept.
 fn used(states: &States, settings: &Settings, k: usize) -> bool {
+    is_inner(states, settings, k) && k.is_multiple_of(settings.decimate)
+}
+
+/// Whether sample `k` is not at an end.
+fn is_inner(states: &States, settings: &Settings, k: usize) -> bool {
     let (time, n) = (&states.time_s, states.len());
-    let inside = time[k] - time[0] >= settings.skip_s && time[n - 1] - time[k] >= settings.skip_s;
-    inside && k.is_multiple_of(settings.decimate)
+    time[k] - time[0] >= settings.skip_s && time[n - 1] - time[k] >= settings.skip_s
 }
 
 /// Each sensor once without and once in contact; vectors of a site in the frame of the contact.

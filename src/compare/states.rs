@@ -8,7 +8,7 @@
 use crate::mujoco::{Measures, Model, ObjectKind};
 use crate::recording::{Bound, BoundChannel, Recording};
 
-use super::butterworth::low_pass;
+use super::butterworth::{Beyond, low_pass};
 use super::closure::Closure;
 use super::differences::{accelerations, align, differences, free_quaternions, normalise};
 use super::memory::Memory;
@@ -181,7 +181,7 @@ impl States {
         let quaternions = free_quaternions(model);
         align(&mut qpos, model.nq(), &quaternions);
         if let Some(cutoff) = settings.cutoff_hz {
-            low_pass(&mut qpos, model.nq(), cutoff * interval);
+            low_pass(&mut qpos, model.nq(), cutoff * interval, Beyond::Reflected);
         }
         normalise(&mut qpos, model.nq(), &quaternions);
         let shown = differences(model, &time_s, &qpos)?;
@@ -210,7 +210,7 @@ impl States {
         for (dof, channel) in recorded_velocities {
             let mut values = channel.all_at(&time_s);
             if let Some(cutoff) = settings.cutoff_hz {
-                low_pass(&mut values, 1, cutoff * interval);
+                low_pass(&mut values, 1, cutoff * interval, Beyond::Reflected);
             }
             for (k, value) in values.into_iter().enumerate() {
                 // a sample before the first of this channel keeps its difference

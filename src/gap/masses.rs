@@ -30,7 +30,7 @@ pub(super) fn machine(a: &str, b: &str) -> ModelFile {
 }
 
 /// Four seconds of sines, read with a hundredth of a millimetre of noise.
-fn record(machine: &ModelFile) -> Recording {
+pub(super) fn record(machine: &ModelFile) -> Recording {
     const NOISE_M: f64 = 1e-5;
     let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
         name: name.into(),

@@ -329,3 +329,33 @@ fn worse(channels: &[Channel]) -> Vec<String> {
     let say = |c: &Channel| format!("{}, {}", c.channel, c.quantity);
     channels.iter().filter(grew).map(say).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::masses::{machine, record, searching};
+    use crate::gap::repair;
+
+    /// The first force of a filtered motion is off by hundreds of times, and what is left after filtering was 230 %.
+    #[test]
+    fn ends_do_not_spread() {
+        let own = machine(r#"damping=".2""#, "");
+        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"damping\"\n";
+        let settings = |cutoff_hz| Settings {
+            skip_s: 0.1,
+            cutoff_hz,
+            force_cutoff_hz: Some(10.0),
+            ..Settings::default()
+        };
+        searching(&own, &own, config, |search, _| {
+            let found = repair::machine(&search.windows.problem, &search.x).expect("a machine");
+            let held_out = [("sines".to_owned(), record(&own))];
+            for cutoff_hz in [Some(20.0), None] {
+                let settings = settings(cutoff_hz);
+                let gap = verify(&found, &found, &held_out, &settings, &|_| None, 0);
+                let percent = gap.expect("compared").holdout.expect("motors").after;
+                assert!(percent < 2.0, "{cutoff_hz:?} {percent}");
+            }
+        });
+    }
+}
