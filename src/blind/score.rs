@@ -109,10 +109,11 @@ pub(super) fn score(
         hidden
             .iter()
             .all(|h| answer.effects.iter().any(|n| f(h, n)))
-            && answer
-                .effects
-                .iter()
-                .all(|n| hidden.iter().any(|h| f(h, n)))
+            && (answer.effects.iter()).all(|n| {
+                hidden
+                    .iter()
+                    .any(|h| f(h, n) || is_under(h, &n.name, &n.at))
+            })
     };
     let class = !hidden.is_empty() && all(&meant);
     let exact = class && all(&|h: &At, n: &Named| h.name == n.name && is_place(&h.place, &n.at));
@@ -174,6 +175,12 @@ pub(super) fn hidden(truth: &Truth) -> Vec<At> {
         .collect()
 }
 
+/// Whether dry friction was named that a variety of it is hidden with.
+fn is_under(hidden: &At, name: &str, at: &str) -> bool {
+    let variety = effect::named(&hidden.name).is_some_and(|e| e.about().is_variety());
+    variety && name == effect::DRY && is_place(&hidden.place, at)
+}
+
 fn in_class(hidden: &At, named: &Named) -> bool {
     let first = named.class.contains(&hidden.name) && is_place(&hidden.place, &named.at);
     // what looks alike may act elsewhere
@@ -213,7 +220,20 @@ fn covered(truth: &Truth, named: &Named) -> Option<Covered> {
 
 #[cfg(test)]
 mod tests {
-    use super::acting;
+    use super::{At, acting, is_under};
+
+    #[test]
+    fn friction_that_varies_is_friction_too() {
+        let at = |name: &str| At {
+            name: name.into(),
+            place: "elbow".into(),
+        };
+        let under = |hidden, name, place| is_under(&at(hidden), name, place);
+        assert!(under("stribeck_friction", "coulomb_friction", "elbow"));
+        assert!(!under("stribeck_friction", "coulomb_friction", "shoulder"));
+        assert!(!under("stribeck_friction", "torque_offset", "elbow"));
+        assert!(!under("quadratic_drag", "coulomb_friction", "elbow"));
+    }
 
     #[test]
     fn friction_never_drives() {

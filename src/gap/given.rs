@@ -2,9 +2,10 @@
 
 use super::result::Gap;
 use super::run::{self, Input, Options};
-use super::search::ITERATIONS;
+use super::screen::Candidate;
+use super::search::{ITERATIONS, Search};
 use super::stages::Keeper;
-use super::{GapError, Report, Watch, nudged, repair, verify};
+use super::{GapError, Report, Watch, effect, nudged, repair, verify};
 
 /// What a search could reach at best.
 #[derive(Debug, Clone)]
@@ -51,24 +52,14 @@ fn in_windows(
 ) -> Result<Option<Oracle>, GapError> {
     let (whole, mut search) = run::begin(input, options, keeper, watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
-    let screen = search.screen(watch)?.ok_or(GapError::Stopped)?;
-    let mut given = Vec::new();
-    for (name, place) in effects {
-        let found = screen.candidates.iter().find(|c| {
-            c.effect.about().name == name
-                && is_place(&c.place.to_string(), place)
-                && c.score.is_some()
-        });
-        let Some(c) = found else { return Ok(None) };
-        given.push(c);
-    }
-    let Some(fitted) = search.fitted_with(&given, &screen, ITERATIONS, watch)? else {
+    add(&mut search, &levels(effects), watch)?;
+    let first = search.chosen.len();
+    if add(&mut search, effects, watch)? < effects.len() {
         return Ok(None);
-    };
-    search.take(fitted);
+    }
     search.settle(watch)?;
     let mut costs = Vec::new();
-    for i in 0..search.chosen.len() {
+    for i in first..search.chosen.len() {
         let mut others = search.chosen.clone();
         others.remove(i);
         costs.push(search.fitted(&others, ITERATIONS, watch)?.map(|f| f.cost));
@@ -81,6 +72,38 @@ fn in_windows(
     Ok(Some(Oracle {
         gap,
         detectability: least(search.cost, costs),
+    }))
+}
+
+/// The dry friction that varieties of it among `effects` vary.
+fn levels(effects: &[(String, String)]) -> Vec<(String, String)> {
+    let variety = |name: &str| effect::named(name).is_some_and(|e| e.about().is_variety());
+    (effects.iter())
+        .filter(|(name, _)| variety(name))
+        .map(|(_, place)| (effect::DRY.to_owned(), place.clone()))
+        .collect()
+}
+
+/// Fits the model with those of `effects` beside what it has that a screen has; how many.
+fn add(
+    search: &mut Search<'_>,
+    effects: &[(String, String)],
+    watch: &mut Watch<'_>,
+) -> Result<usize, GapError> {
+    if effects.is_empty() {
+        return Ok(0);
+    }
+    let screen = search.screen(watch)?.ok_or(GapError::Stopped)?;
+    let is = |c: &&Candidate, (name, place): &(String, String)| {
+        c.effect.about().name == name && is_place(&c.place.to_string(), place) && c.score.is_some()
+    };
+    let given: Vec<&Candidate> = (effects.iter())
+        .filter_map(|asked| screen.candidates.iter().find(|c| is(c, asked)))
+        .collect();
+    let fitted = search.fitted_with(&given, &screen, ITERATIONS, watch)?;
+    Ok(fitted.map_or(0, |fitted| {
+        search.take(fitted);
+        given.len()
     }))
 }
 
@@ -100,4 +123,30 @@ pub fn is_place(a: &str, b: &str) -> bool {
             (None, Some((c, d))) => a == c || a == d,
             (None, None) => false,
         }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::effect::write;
+    use crate::gap::masses::{chosen, machine, searching};
+
+    /// Friction that falls with speed, at a joint that has none in the model.
+    #[test]
+    fn a_variety_of_friction_is_fitted_beside_friction() {
+        let hidden = [0.2, 0.0, 0.05];
+        let dry = machine(r#"damping=".2" frictionloss=".15""#, "");
+        let law = chosen(&dry, "stribeck_friction", "a", &hidden);
+        let machine_with = write(&dry, law.effect, &law.place, &hidden).expect("written");
+        let base = machine(r#"damping=".2""#, "");
+        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"damping\"\n";
+        searching(&base, &machine_with.file, config, |search, watch| {
+            let asked = [("stribeck_friction".to_owned(), "a".to_owned())];
+            assert_eq!(add(search, &asked, watch).expect("looked for"), 0);
+            assert_eq!(add(search, &levels(&asked), watch).expect("fitted"), 1);
+            assert_eq!(add(search, &asked, watch).expect("fitted"), 1);
+            let excess = search.chosen[1].values[0];
+            assert!((excess / hidden[0] - 1.0).abs() < 0.2, "{excess}");
+        });
+    }
 }

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::GapError;
 use super::absorb::Absorb;
-use super::effect::{self, Effect, ModelFile, Place, Role};
+use super::effect::{self, Effect, ModelFile, Place};
 use super::fit::information;
 use super::linear::{Column, Linear};
 use super::model::{Built, Chosen, Measured, Variant, variants};
@@ -206,13 +206,12 @@ impl Look<'_> {
         {
             return false;
         }
-        let variety = about.parameters.iter().any(|p| p.role == Role::Companion);
         let model = &self.built.file.model;
         let dry = place
             .joint_name(model)
             .and_then(|n| model.id(crate::mujoco::ObjectKind::Joint, n).ok())
             .is_some_and(|j| model.dof_frictionloss()[model.jnt_dofadr()[j] as usize] > 0.0);
-        !variety || dry
+        !about.is_variety() || dry
     }
 
     /// Columns of variants of which anything is left, in every `stride`-th window, and the parameters that they stand

@@ -4,7 +4,7 @@
 //! what is left, as surely as a finding must, and above the least size of one, both as the last screen has them. What
 //! fitted parameters absorb, or no recording excites, does not.
 
-use super::effect::{self, Effect, Place, Role};
+use super::effect::{self, Effect, Place};
 use super::forward::tests;
 use super::name;
 use super::result::Untestable;
@@ -23,10 +23,9 @@ pub(super) fn untestable(search: &Search<'_>, screen: &Screen) -> Vec<Untestable
         let about = effect.about();
         let found = (screen.candidates.iter())
             .find(|c| c.effect.about().name == about.name && c.place == place);
-        let companion = about.parameters.iter().any(|p| p.role == Role::Companion);
         let reason = match found {
             _ if search.has(about.name, &place) => continue,
-            None if companion => continue, // looked at once there is dry friction
+            None if about.is_variety() => continue, // looked at once there is dry friction
             None => UNSHOWN,
             Some(c) => match &c.score {
                 None => "the fitted parameters explain all of it",

@@ -7,7 +7,7 @@
 
 use super::place::joints;
 use super::{
-    About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows, Site,
+    About, DRY, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows, Site,
 };
 use crate::mjcf::structure::Change;
 use crate::mujoco::Model;
@@ -98,7 +98,7 @@ pub(super) struct Coulomb;
 impl Effect for Coulomb {
     fn about(&self) -> &'static About {
         const ABOUT: About = About {
-            name: "coulomb_friction",
+            name: DRY,
             law: "torque −f sgn v, up to f at rest",
             shows: Shows::Force,
             signature: "−f sgn(v): jumps at reversals, the same at every speed",

@@ -34,6 +34,9 @@ pub use write::{EffectError, Estimated, Expression, Form, ModelFile, Number, Wri
 
 use crate::mujoco::Model;
 
+/// Name of the dry friction whose varieties other effects are.
+pub(crate) const DRY: &str = "coulomb_friction";
+
 /// What an effect does to the quantities that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shows {
@@ -83,6 +86,11 @@ pub struct About {
 }
 
 impl About {
+    /// Whether it says how dry friction varies, which must be there for it.
+    pub fn is_variety(&self) -> bool {
+        self.parameters.iter().any(|p| p.role == Role::Companion)
+    }
+
     /// Shapes that are tried before one is fitted: all at their first values, and each at its others.
     pub fn shapes(&self) -> usize {
         let others = self.parameters.iter().map(|p| match p.role {

@@ -15,7 +15,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::judge::Judge;
 use super::refit::Fitted;
-use crate::gap::effect::{self, Effect, Place, Role};
+use crate::gap::effect::{self, Effect, Place};
 use crate::gap::model::{Chosen, Variant, variants};
 use crate::gap::{GapError, Stage, Watch};
 use crate::sysid::nudging::Ensemble;
@@ -241,7 +241,7 @@ fn asked(judge: &Judge<'_>, only: &[String]) -> Vec<Asked> {
     let wanted = |effect: &dyn Effect| {
         let about = effect.about();
         (only.is_empty() || only.iter().any(|n| n == about.name))
-            && about.parameters.iter().all(|p| p.role != Role::Companion)
+            && !about.is_variety()
             && effect.periodic().is_none()
     };
     let mut out = Vec::new();

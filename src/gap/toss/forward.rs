@@ -10,7 +10,7 @@
 
 use super::judge::{Difference, Judge, Point, Seen, difference};
 use super::rest;
-use crate::gap::effect::{self, Effect, Place, Role, Scales, Sign};
+use crate::gap::effect::{self, Effect, Place, Scales, Sign};
 use crate::gap::evidence::Evidence;
 use crate::gap::model::{Chosen, variants};
 use crate::gap::search::Limits;
@@ -61,7 +61,7 @@ pub(super) fn candidates(judge: &Judge<'_>, chosen: &[Chosen], only: &[String]) 
         let about = effect.about();
         let taken = |c: &Chosen| c.effect.about().name == about.name && c.place == *place;
         (only.is_empty() || only.iter().any(|n| n == about.name))
-            && about.parameters.iter().all(|p| p.role != Role::Companion)
+            && !about.is_variety()
             && !(about.name == rest::NAME && judge.ends.len() > 1)
             && !chosen.iter().any(taken)
     };
