@@ -153,9 +153,9 @@ pub(super) struct Tried<'s> {
 }
 
 impl Tried<'_> {
-    /// In units of what is left before, by the cost `which`: a number more has to be worth it beside what nothing explains.
-    pub(super) fn price(&self, which: usize) -> f64 {
-        price(self.costs[which], &self.fit.x)
+    /// By the cost `which`, of which one of `unit` is counted as 1.
+    pub(super) fn price(&self, which: usize, unit: f64) -> f64 {
+        price(self.costs[which] / unit, &self.fit.x)
     }
 }
 

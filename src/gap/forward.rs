@@ -119,7 +119,8 @@ impl Search<'_> {
                 costs,
             })
             .collect();
-        tried.sort_by(|a, b| a.price(which).total_cmp(&b.price(which)));
+        let unit = self.unit(&tried, which)?;
+        tried.sort_by(|a, b| a.price(which, unit).total_cmp(&b.price(which, unit)));
         let rows = screen.linear.rows.iter();
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
@@ -133,7 +134,8 @@ impl Search<'_> {
             if own_size.is_some_and(|size| size < OWN * self.limits.size) {
                 continue;
             }
-            let price = of.price(which);
+            // a number more has to be worth it beside what nothing explains
+            let price = of.price(which, 1.0);
             if absurd.is_some_and(|best| alike::apart(price, best) >= APART) {
                 break;
             }
@@ -168,6 +170,17 @@ impl Search<'_> {
             }
         }
         Ok(false)
+    }
+
+    /// What a cost of one is by weights of what the best of all leaves, in those of what was left before: by these, fits that
+    /// leave little all look alike, and the one with fewest numbers wins.
+    fn unit(&self, tried: &[Tried<'_>], which: usize) -> Result<f64, GapError> {
+        let best = (tried.iter()).min_by(|a, b| a.costs[which].total_cmp(&b.costs[which]));
+        let Some(Tried { fit, .. }) = best else {
+            return Ok(1.0);
+        };
+        let own = fit.windows.clone().weigh(&fit.x, &self.noise)?.cost;
+        Ok(fit.cost / own.max(fit.cost))
     }
 
     /// A candidate in the model, the fit begun. Where that falls short of what the screen expects, other shapes are tried: how
@@ -229,7 +242,7 @@ pub(super) fn tests(screen: &Screen) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::{Candidate, Score};
+    use super::{Candidate, Score, Tried};
     use crate::gap::effect::write;
     use crate::gap::masses::{chosen, machine, searching};
 
@@ -287,6 +300,35 @@ mod tests {
             let (fitted, of) = begun.expect("follows");
             assert_eq!(of.values, expected.values);
             assert!(fitted.cost < search.cost);
+        });
+    }
+
+    /// However little channels weigh, what is left is worth the same.
+    #[test]
+    fn costs_are_by_what_the_best_leaves() {
+        let base = machine(r#"damping=".2""#, "");
+        let hidden = machine(r#"damping=".2" stiffness=".5""#, "");
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&base, &hidden, config, |search, watch| {
+            let screen = search.screen(watch).expect("screened").expect("whole");
+            let mut worth = |factor: f64| {
+                for channel in &mut search.windows.problem.channels {
+                    channel.sigma *= factor;
+                }
+                let fit = search.fitted(&[], 3, watch).expect("fitted");
+                let fit = fit.expect("follows");
+                let cost = fit.cost;
+                let candidate = &screen.candidates[0];
+                let costs = [cost; 2];
+                let tried = [Tried {
+                    fit,
+                    candidate,
+                    costs,
+                }];
+                cost / search.unit(&tried, 0).expect("weighed")
+            };
+            let (before, after) = (worth(100.0), worth(10.0));
+            assert!((after / before - 1.0).abs() < 1e-3, "{before} {after}");
         });
     }
 }

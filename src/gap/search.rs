@@ -133,7 +133,10 @@ impl<'a> Search<'a> {
                 nearest = other;
             }
         }
-        let (_, windows, fit) = nearest;
+        let (_, mut windows, fit) = nearest;
+        let fit = windows.within_priors(fit, &noise, |windows, x| {
+            windows.fit(x, FIRST_ITERATIONS, &mut |i| watch.fit(i))
+        })?;
         Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
     }
 
@@ -199,6 +202,9 @@ impl<'a> Search<'a> {
         let now = (&*self.x, &*self.noise);
         let fit = (self.windows).fit_weighed(now, ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut watch.fit_nearly())
+        })?;
+        let fit = (self.windows).within_priors(fit, &self.noise, |windows, x| {
+            windows.fit(x, ITERATIONS, &mut watch.fit_nearly())
         })?;
         self.chosen = self
             .built

@@ -31,6 +31,20 @@ pub(super) const ROUGH_ITERATIONS: usize = 5;
 const WEIGHINGS: usize = 8;
 /// Factor by which a weight changes, from which on it is far from what it will be.
 const FAR: f64 = 2.0;
+/// Standard deviations that a parameter is hardly ever from its prior.
+const HARDLY: f64 = 4.0;
+/// And that it may well be.
+const WELL: f64 = 2.0;
+/// Factor by which channels are taken to be coarser at a time.
+const LESS: f64 = 3.0;
+
+/// Channels weighed anew.
+pub(super) struct Weighed {
+    /// largest factor by which a standard deviation changes
+    pub change: f64,
+    /// of the residuals in the new ones
+    pub cost: f64,
+}
 
 impl Windows {
     /// Fits from `x` on until weights are near what is left, the last time with so many iterations; `fit` is told from where,
@@ -46,7 +60,7 @@ impl Windows {
     ) -> Result<Fitted, SysidError> {
         let mut fitted = fit(self, x, ROUGH_ITERATIONS)?;
         for _ in 0..WEIGHINGS {
-            if self.weigh(&fitted.x, noise)? < FAR {
+            if self.weigh(&fitted.x, noise)?.change < FAR {
                 return fit(self, &fitted.x, iterations);
             }
             fitted = fit(self, &fitted.x, ROUGH_ITERATIONS)?;
@@ -54,12 +68,40 @@ impl Windows {
         Ok(fitted)
     }
 
-    /// Sets the standard deviations of channels at parameters `x`, where their sensors have `noise`. The largest factor by
-    /// which one changes.
+    /// `fitted`, unless a parameter is where its prior has it hardly ever while more than noise is left: then that stands for
+    /// missing physics, and channels weigh less until parameters are where they may well be.
+    ///
+    /// # Errors
+    /// Of `fit`.
+    pub(super) fn within_priors(
+        &mut self,
+        mut fitted: Fitted,
+        noise: &[f64],
+        mut fit: impl FnMut(&mut Self, &[f64]) -> Result<Fitted, SysidError>,
+    ) -> Result<Fitted, SysidError> {
+        let farthest = |windows: &Self, x: &[f64]| windows.problem.parameters.farthest(x);
+        let channels = &self.problem.channels;
+        let misfit = (channels.iter().zip(noise)).any(|(c, noise)| c.sigma > FAR * noise);
+        if !misfit || farthest(self, &fitted.x) <= HARDLY {
+            return Ok(fitted);
+        }
+        for _ in 0..WEIGHINGS {
+            if farthest(self, &fitted.x) <= WELL {
+                break;
+            }
+            for channel in &mut self.problem.channels {
+                channel.sigma *= LESS;
+            }
+            fitted = fit(self, &fitted.x)?;
+        }
+        Ok(fitted)
+    }
+
+    /// Sets the standard deviations of channels at parameters `x`, where their sensors have `noise`.
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<f64, SysidError> {
+    pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<Weighed, SysidError> {
         let linear = self.linearise(x)?;
         let mut squares = vec![(0.0, 0.0_f64); self.problem.channels.len()];
         for row in &linear.rows {
@@ -85,13 +127,16 @@ impl Windows {
             gradients[*stretch].gemv_tr(1.0, &slopes, &residual, 1.0);
         }
         let spread = repetition(information, &gradients).max(1.0).sqrt();
-        let mut change = 1.0_f64;
-        for ((channel, rms), noise) in (self.problem.channels.iter_mut()).zip(rms).zip(noise) {
+        let (mut change, mut cost) = (1.0_f64, 0.0);
+        let channels = self.problem.channels.iter_mut();
+        for (((channel, rms), noise), (square, _)) in channels.zip(rms).zip(noise).zip(squares) {
             let sigma = noise.max(channel.sigma * rms * spread);
-            change = change.max(sigma / channel.sigma).max(channel.sigma / sigma);
+            let factor = sigma / channel.sigma;
+            change = change.max(factor).max(factor.recip());
+            cost += 0.5 * square / (factor * factor);
             channel.sigma = sigma;
         }
-        Ok(change)
+        Ok(Weighed { change, cost })
     }
 }
 
@@ -130,6 +175,7 @@ fn repetition(mut information: DMatrix<f64>, gradients: &[DVector<f64>]) -> f64 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::masses::{machine, searching};
     use crate::gap::step::tests::{driven, model};
     use crate::sysid::problem::{Problem, ProblemConfig};
 
@@ -157,7 +203,26 @@ mod tests {
         let x = fitted.expect("a fit").x;
         let armature = windows.problem.parameters.values(&x)[0];
         assert!((armature / 0.01 - 1.0).abs() < 1e-3, "{armature}");
-        assert!(windows.weigh(&x, &noise).expect("weights") < FAR);
+        assert!(windows.weigh(&x, &noise).expect("weights").change < FAR);
+    }
+
+    /// A rotor that no prior allows stays where it is if it is all that was missing, not if friction is missing beside it.
+    #[test]
+    fn what_hardly_can_be_is_not_while_something_is_missing() {
+        let base = machine(r#"damping=".2""#, "");
+        let mut farthest = [0.0, 0.0];
+        let cases = [("", 0.1), (r#"frictionloss=".1""#, 0.09)];
+        for ((friction, sigma), farthest) in cases.iter().zip(&mut farthest) {
+            let hidden = machine(&format!(r#"damping=".2" armature=".45" {friction}"#), "");
+            let config = format!(
+                "[[parameter]]\nelement = \"joint/a\"\nattribute = \"armature\"\nscale = \"linear\"\n\
+                 prior_sigma = {sigma}\n"
+            );
+            searching(&base, &hidden, &config, |search, _| {
+                *farthest = search.windows.problem.parameters.farthest(&search.x);
+            });
+        }
+        assert!(farthest[0] > HARDLY && farthest[1] <= WELL, "{farthest:?}");
     }
 
     #[test]

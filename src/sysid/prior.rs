@@ -11,6 +11,14 @@ impl Parameters {
             .sum()
     }
 
+    /// How far the parameter is from its prior that is farthest, in standard deviations; 0 without priors.
+    pub(crate) fn farthest(&self, x: &[f64]) -> f64 {
+        (self.iter_free().zip(x))
+            .filter(|(p, _)| p.prior_sigma.is_finite())
+            .map(|(p, x)| ((x - p.to_x(p.prior)) / p.prior_sigma).abs())
+            .fold(0.0, f64::max)
+    }
+
     /// Its curvature and slope by each free parameter; 0 without a prior.
     pub(crate) fn prior_slopes(&self, x: &[f64]) -> impl Iterator<Item = (f64, f64)> {
         self.iter_free().zip(x).map(|(p, x)| {
