@@ -153,7 +153,7 @@ pub(super) struct Tried<'s> {
 }
 
 impl Tried<'_> {
-    /// By the cost `which`, of which one of `unit` is counted as 1.
+    /// By the cost `which`, divided by `unit`.
     pub(super) fn price(&self, which: usize, unit: f64) -> f64 {
         price(self.costs[which] / unit, &self.fit.x)
     }

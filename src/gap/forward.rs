@@ -172,8 +172,8 @@ impl Search<'_> {
         Ok(false)
     }
 
-    /// What a cost of one is by weights of what the best of all leaves, in those of what was left before: by these, fits that
-    /// leave little all look alike, and the one with fewest numbers wins.
+    /// What costs are divided by so that they are in units of what the best of all leaves: in those of what was left before,
+    /// fits that leave little all look alike, and the one with the fewest numbers wins.
     fn unit(&self, tried: &[Tried<'_>], which: usize) -> Result<f64, GapError> {
         let best = (tried.iter()).min_by(|a, b| a.costs[which].total_cmp(&b.costs[which]));
         let Some(Tried { fit, .. }) = best else {

@@ -1,7 +1,20 @@
 //! From the commanded control to the one the actuator gets: delay, lag, gain, ripple, saturation, in this order.
+//!
+//! Of a command that is held over an inner step h, what is late by d is a mean over two steps, and a lag T has as its mean
+//! over one
+//!
+//! ```text
+//! u + (y - u) T/h (1 - exp(-h/T))        y: at its beginning
+//! ```
+//!
+//! Euler's steps show what a force does [`EARLY`] h early, which a delay makes up for: what is hidden is what acts.
 
 use super::{Bound, Effect};
 use crate::mujoco::Model;
+
+/// Inner steps by which positions are ahead of those of a machine that moves in no steps: the velocity that a step ends with
+/// is that of all of it.
+pub(in crate::rig) const EARLY: f64 = 0.5;
 
 /// What stands between the command and one actuator.
 #[derive(Debug, Clone)]
@@ -10,8 +23,12 @@ pub(in crate::rig) struct Drive {
     /// the last commands, one an inner step; empty: no delay
     queue: Vec<f64>,
     next: usize,
-    /// share of the old value that a lag keeps an inner step; 0: no lag
+    /// share of an inner step that the delay is longer than the queue
+    more: f64,
+    before: f64,
+    /// shares of the old value that a lag keeps at the end of an inner step, and in the mean over it; 0: no lag
     keep: f64,
+    keep_mean: f64,
     lagged: f64,
     factor: f64,
     ripples: Vec<[f64; 3]>, // amplitude, per turn, phase
@@ -25,7 +42,10 @@ impl Drive {
             qpos,
             queue: Vec::new(),
             next: 0,
+            more: 0.0,
+            before: 0.0,
             keep: 0.0,
+            keep_mean: 0.0,
             lagged: 0.0,
             factor: 1.0,
             ripples: Vec::new(),
@@ -42,12 +62,16 @@ impl Drive {
         step_s: f64,
     ) {
         let v = &bound.values;
+        let is_late = matches!(bound.effect, Effect::ActuatorDelay | Effect::ActuatorLag);
+        if is_late && v[0] > 0.0 && self.queue.is_empty() && self.more == 0.0 {
+            self.delay(EARLY * step_s, step_s);
+        }
         match bound.effect {
-            Effect::ActuatorDelay => {
-                let n = (v[0] / step_s).round() as usize;
-                self.queue.resize(self.queue.len() + n, 0.0);
+            Effect::ActuatorDelay if v[0] > 0.0 => self.delay(v[0], step_s),
+            Effect::ActuatorLag if v[0] > 0.0 => {
+                self.keep = (-step_s / v[0]).exp();
+                self.keep_mean = v[0] / step_s * (1.0 - self.keep);
             }
-            Effect::ActuatorLag if v[0] > 0.0 => self.keep = (-step_s / v[0]).exp(),
             Effect::TorqueGain => self.factor *= 1.0 + v[0],
             Effect::TorqueRipple => self.ripples.push([v[0], v[1], v[2]]),
             Effect::TorqueSaturation => {
@@ -62,6 +86,14 @@ impl Drive {
         }
     }
 
+    /// Makes it later, and late if it was not.
+    fn delay(&mut self, delay_s: f64, step_s: f64) {
+        let steps = self.more + delay_s / step_s;
+        let whole = self.queue.len() + steps as usize;
+        self.queue.resize(whole, 0.0);
+        self.more = steps.fract();
+    }
+
     /// The control of this inner step.
     pub(in crate::rig) fn output(&mut self, command: f64, qpos: &[f64]) -> f64 {
         let mut u = command;
@@ -69,9 +101,13 @@ impl Drive {
             std::mem::swap(&mut u, &mut self.queue[self.next]);
             self.next = (self.next + 1) % self.queue.len();
         }
-        if self.keep > 0.0 {
-            self.lagged = self.keep * self.lagged + (1.0 - self.keep) * u;
-            u = self.lagged;
+        let now = u;
+        u += self.more * (self.before - now);
+        self.before = now;
+        if self.keep_mean > 0.0 {
+            let off = self.lagged - u;
+            self.lagged = u + self.keep * off;
+            u += self.keep_mean * off;
         }
         u *= self.factor;
         for [amplitude, per_turn, phase] in &self.ripples {
@@ -85,24 +121,46 @@ impl Drive {
 mod tests {
     use super::*;
 
-    #[test]
-    fn lag_reaches_its_share_after_its_time() {
+    /// Impulse (N m s) that a command of 1, from the first of n steps of h on, has lost by their end.
+    fn lost(effect: Effect, amount: f64, h: f64, n: usize) -> f64 {
+        let model = Model::from_xml_str("<mujoco/>").expect("loads");
+        let bound = Bound {
+            effect,
+            elements: vec![0],
+            partner: None,
+            values: vec![amount],
+        };
         let mut drive = Drive::new(0);
-        drive.keep = (-1e-4_f64 / 0.01).exp();
-        let mut u = 0.0;
-        for _ in 0..100 {
-            u = drive.output(1.0, &[0.0]);
-        }
-        assert!((u - (1.0 - (-1.0_f64).exp())).abs() < 1e-12, "{u}");
+        drive.add(&model, 0, &bound, h);
+        (0..n).map(|_| (1.0 - drive.output(1.0, &[0.0])) * h).sum()
     }
 
+    /// ∫ 1 − u dt is the delay, or the lag, exactly, with half a step for Euler's; of a third of a step too.
     #[test]
-    fn delay_returns_the_command_of_then() {
-        let mut drive = Drive::new(0);
-        drive.queue = vec![0.0; 3];
-        let out: Vec<f64> = (1..=5)
-            .map(|k| drive.output(f64::from(k), &[0.0]))
-            .collect();
-        assert_eq!(out, [0.0, 0.0, 0.0, 1.0, 2.0]);
+    fn what_is_hidden_is_what_acts() {
+        let h = 1e-4;
+        for delay in [0.3e-4, 1e-4, 2.34e-4, 50e-4] {
+            let own = lost(Effect::ActuatorDelay, delay, h, 100);
+            assert!((own - delay - 0.5 * h).abs() < 1e-12, "{delay} {own}");
+        }
+        for lag in [0.3e-4, 5e-4] {
+            let own = lost(Effect::ActuatorLag, lag, h, 1000);
+            assert!((own - lag - 0.5 * h).abs() < 1e-12, "{lag} {own}");
+        }
+    }
+
+    /// A body pushed after a delay is where a machine without steps has it.
+    #[test]
+    fn euler_is_early_by_half_a_step() {
+        let (h, delay, n) = (1e-3, 5e-3, 200);
+        let (mut q, mut v) = (0.0, 0.0);
+        let steps = delay / h + EARLY;
+        for k in 0..n {
+            let share = (f64::from(k) + 1.0 - steps).clamp(0.0, 1.0);
+            v += h * share;
+            q += h * v;
+        }
+        let exact = 0.5 * (f64::from(n) * h - delay).powi(2);
+        assert!((q / exact - 1.0).abs() < 1e-5, "{q} {exact}");
     }
 }

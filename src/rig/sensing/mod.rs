@@ -21,6 +21,7 @@ use mocap::Mocap;
 
 use super::axes::Axis;
 use super::config::SensingConfig;
+use super::effects::drive::EARLY;
 use super::effects::transmission::Transmission;
 use super::effects::{Bound, Effect};
 use super::truth::TrueParameter;
@@ -233,6 +234,11 @@ impl Sensors {
         let (model, axes, rate_hz) = (rig.model(), &rig.axes, rig.rate_hz);
         let (sensing, calibration) = (&rig.config.sensing, &rig.calibration);
         let noise = |index| rng::stream(rig.seed, Purpose::SensorNoise, trial.stream(), index);
+        // what shows later shows what Euler's steps have early later too
+        let early_s = match calibration.encoder_delay_s {
+            0.0 => 0.0,
+            _ => EARLY * rig.truth_model.timestep(),
+        };
         let encoders: Vec<Encoder> = (0..axes.len())
             .map(|k| {
                 Encoder::new(
@@ -240,7 +246,7 @@ impl Sensors {
                     rate_hz,
                     calibration.encoder_bias[k],
                     calibration.encoder_scale[k],
-                    calibration.encoder_delay_s,
+                    calibration.encoder_delay_s + early_s,
                 )
             })
             .collect();
