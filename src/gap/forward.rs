@@ -179,7 +179,7 @@ impl Search<'_> {
         let Some(Tried { fit, .. }) = best else {
             return Ok(1.0);
         };
-        let own = fit.windows.clone().weigh(&fit.x, &self.noise)?.cost;
+        let own = fit.windows.weights(&fit.x, &self.noise)?.cost;
         Ok(fit.cost / own.max(fit.cost))
     }
 

@@ -12,7 +12,9 @@
 //! with n parameters, one g a stretch. Where nothing is missing, κ is 1.
 //!
 //! What is left depends on the fit, and the fit on the weights: a fit from afar leaves much, and channels that weigh little
-//! leave parameters where their priors have them. Both are made again while weights are far from what is left.
+//! leave parameters where their priors have them. Both are made again while weights are far from what is left. Where more than
+//! noise is left and a parameter is far off its prior all the same, that stands for missing physics: all sigma are then taken
+//! to be larger until no parameter is.
 //!
 //! Reference: Ribatet, Cooley and Davison 2012, "Bayesian inference from composite likelihoods" (magnitude adjustment).
 
@@ -38,11 +40,11 @@ const WELL: f64 = 2.0;
 /// Factor by which channels are taken to be coarser at a time.
 const LESS: f64 = 3.0;
 
-/// Channels weighed anew.
-pub(super) struct Weighed {
-    /// largest factor by which a standard deviation changes
-    pub change: f64,
-    /// of the residuals in the new ones
+/// How much channels weigh by what is left.
+pub(super) struct Weights {
+    /// standard deviation of each
+    sigma: Vec<f64>,
+    /// of the residuals by these
     pub cost: f64,
 }
 
@@ -60,7 +62,7 @@ impl Windows {
     ) -> Result<Fitted, SysidError> {
         let mut fitted = fit(self, x, ROUGH_ITERATIONS)?;
         for _ in 0..WEIGHINGS {
-            if self.weigh(&fitted.x, noise)?.change < FAR {
+            if self.weigh(&fitted.x, noise)? < FAR {
                 return fit(self, &fitted.x, iterations);
             }
             fitted = fit(self, &fitted.x, ROUGH_ITERATIONS)?;
@@ -97,11 +99,26 @@ impl Windows {
         Ok(fitted)
     }
 
-    /// Sets the standard deviations of channels at parameters `x`, where their sensors have `noise`.
+    /// Sets the standard deviations of channels at parameters `x`, where their sensors have `noise`. The largest factor by
+    /// which one changes.
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<Weighed, SysidError> {
+    pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<f64, SysidError> {
+        let weights = self.weights(x, noise)?;
+        let mut change = 1.0_f64;
+        for (channel, sigma) in self.problem.channels.iter_mut().zip(weights.sigma) {
+            change = change.max(sigma / channel.sigma).max(channel.sigma / sigma);
+            channel.sigma = sigma;
+        }
+        Ok(change)
+    }
+
+    /// The weights of channels at parameters `x`, where their sensors have `noise`.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn weights(&self, x: &[f64], noise: &[f64]) -> Result<Weights, SysidError> {
         let linear = self.linearise(x)?;
         let mut squares = vec![(0.0, 0.0_f64); self.problem.channels.len()];
         for row in &linear.rows {
@@ -127,16 +144,16 @@ impl Windows {
             gradients[*stretch].gemv_tr(1.0, &slopes, &residual, 1.0);
         }
         let spread = repetition(information, &gradients).max(1.0).sqrt();
-        let (mut change, mut cost) = (1.0_f64, 0.0);
-        let channels = self.problem.channels.iter_mut();
-        for (((channel, rms), noise), (square, _)) in channels.zip(rms).zip(noise).zip(squares) {
-            let sigma = noise.max(channel.sigma * rms * spread);
-            let factor = sigma / channel.sigma;
-            change = change.max(factor).max(factor.recip());
-            cost += 0.5 * square / (factor * factor);
-            channel.sigma = sigma;
-        }
-        Ok(Weighed { change, cost })
+        let channels = &self.problem.channels;
+        let each = channels.iter().zip(rms).zip(noise);
+        let sigma: Vec<f64> = each
+            .map(|((channel, rms), noise)| noise.max(channel.sigma * rms * spread))
+            .collect();
+        let each = channels.iter().zip(&sigma).zip(squares);
+        let cost = each
+            .map(|((channel, sigma), (square, _))| 0.5 * square * (channel.sigma / sigma).powi(2))
+            .sum();
+        Ok(Weights { sigma, cost })
     }
 }
 
@@ -203,7 +220,7 @@ mod tests {
         let x = fitted.expect("a fit").x;
         let armature = windows.problem.parameters.values(&x)[0];
         assert!((armature / 0.01 - 1.0).abs() < 1e-3, "{armature}");
-        assert!(windows.weigh(&x, &noise).expect("weights").change < FAR);
+        assert!(windows.weigh(&x, &noise).expect("weights") < FAR);
     }
 
     /// A rotor that no prior allows stays where it is if it is all that was missing, not if friction is missing beside it.

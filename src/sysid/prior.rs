@@ -5,18 +5,18 @@ use super::parameter::Parameters;
 impl Parameters {
     /// Σ ((x − x̄)/σₓ)²/2 over the free parameters that have a prior.
     pub(crate) fn prior_cost(&self, x: &[f64]) -> f64 {
-        (self.iter_free().zip(x))
-            .filter(|(p, _)| p.prior_sigma.is_finite())
-            .map(|(p, x)| 0.5 * ((x - p.to_x(p.prior)) / p.prior_sigma).powi(2))
-            .sum()
+        self.offsets(x).map(|z| 0.5 * z.powi(2)).sum()
     }
 
     /// How far the parameter is from its prior that is farthest, in standard deviations; 0 without priors.
     pub(crate) fn farthest(&self, x: &[f64]) -> f64 {
-        (self.iter_free().zip(x))
-            .filter(|(p, _)| p.prior_sigma.is_finite())
-            .map(|(p, x)| ((x - p.to_x(p.prior)) / p.prior_sigma).abs())
-            .fold(0.0, f64::max)
+        self.offsets(x).map(f64::abs).fold(0.0, f64::max)
+    }
+
+    /// (x − x̄)/σₓ of the free parameters that have a prior.
+    fn offsets(&self, x: &[f64]) -> impl Iterator<Item = f64> {
+        let known = (self.iter_free().zip(x)).filter(|(p, _)| p.prior_sigma.is_finite());
+        known.map(|(p, x)| (x - p.to_x(p.prior)) / p.prior_sigma)
     }
 
     /// Its curvature and slope by each free parameter; 0 without a prior.
