@@ -19,7 +19,7 @@ use super::search::{ITERATIONS, Search};
 use super::{GapError, Stage, Watch};
 
 impl Search<'_> {
-    /// Adds the effect found last at other places that ask for it. What comes back is the screen of the present model, where
+    /// Adds the effect found last at other places that ask for it, and takes out what is no longer needed then. What comes back is the screen of the present model, where
     /// one was made.
     ///
     /// # Errors
@@ -49,6 +49,8 @@ impl Search<'_> {
             if evidence.iter().all(stands) {
                 *self = then;
                 self.evidence.extend(evidence);
+                // what stood for the effect where it had not been found yet
+                self.delete(watch)?;
                 return Ok(None);
             }
             let each = more.into_iter().zip(&evidence);

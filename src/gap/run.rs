@@ -259,10 +259,6 @@ pub(super) fn at_length(
             if more {
                 search.delete(watch)?;
                 screen = search.elsewhere(watch)?;
-                if screen.is_none() {
-                    // what stood for the effect where it had not been found yet
-                    search.delete(watch)?;
-                }
             } else {
                 screen = Some(present);
             }
