@@ -1,11 +1,13 @@
 //! Effects that are given instead of searched for: what a search could reach at best.
 
+use super::effect::{self, Place};
 use super::result::Gap;
 use super::run::{self, Input, Options};
 use super::screen::Candidate;
 use super::search::{ITERATIONS, Search};
 use super::stages::Keeper;
-use super::{GapError, Report, Watch, effect, nudged, repair, verify};
+use super::{GapError, Report, Watch, nudged, repair, verify};
+use crate::mujoco::Model;
 
 /// What a search could reach at best.
 #[derive(Debug, Clone)]
@@ -52,7 +54,8 @@ fn in_windows(
 ) -> Result<Option<Oracle>, GapError> {
     let (whole, mut search) = run::begin(input, options, keeper, watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
-    add(&mut search, &levels(effects), watch)?;
+    let levels = levels(effects, &search.built.file.model);
+    add(&mut search, &levels, watch)?;
     let first = search.chosen.len();
     if add(&mut search, effects, watch)? < effects.len() {
         return Ok(None);
@@ -75,12 +78,15 @@ fn in_windows(
     }))
 }
 
-/// The dry friction that varieties of it among `effects` vary.
-fn levels(effects: &[(String, String)]) -> Vec<(String, String)> {
-    let variety = |name: &str| effect::named(name).is_some_and(|e| e.about().is_variety());
-    (effects.iter())
-        .filter(|(name, _)| variety(name))
-        .map(|(_, place)| (effect::DRY.to_owned(), place.clone()))
+/// The dry friction that varieties of it among `effects` vary, where `model` has none.
+fn levels(effects: &[(String, String)], model: &Model) -> Vec<(String, String)> {
+    let asked = |name: &str, place: &Place| {
+        let own = place.to_string();
+        (effects.iter()).any(|(effect, at)| effect == name && is_place(&own, at))
+    };
+    (effect::candidates(model).into_iter())
+        .filter(|(e, p)| e.about().is_variety() && asked(e.about().name, p) && !p.is_dry(model))
+        .map(|(_, place)| (effect::DRY.to_owned(), place.to_string()))
         .collect()
 }
 
@@ -143,7 +149,9 @@ mod tests {
         searching(&base, &machine_with.file, config, |search, watch| {
             let asked = [("stribeck_friction".to_owned(), "a".to_owned())];
             assert_eq!(add(search, &asked, watch).expect("looked for"), 0);
-            assert_eq!(add(search, &levels(&asked), watch).expect("fitted"), 1);
+            let levels = levels(&asked, &base.model);
+            assert_eq!(add(search, &levels, watch).expect("fitted"), 1);
+            assert!(super::levels(&asked, &dry.model).is_empty());
             assert_eq!(add(search, &asked, watch).expect("fitted"), 1);
             let excess = search.chosen[1].values[0];
             assert!((excess / hidden[0] - 1.0).abs() < 0.2, "{excess}");

@@ -206,12 +206,7 @@ impl Look<'_> {
         {
             return false;
         }
-        let model = &self.built.file.model;
-        let dry = place
-            .joint_name(model)
-            .and_then(|n| model.id(crate::mujoco::ObjectKind::Joint, n).ok())
-            .is_some_and(|j| model.dof_frictionloss()[model.jnt_dofadr()[j] as usize] > 0.0);
-        !about.is_variety() || dry
+        !about.is_variety() || place.is_dry(&self.built.file.model)
     }
 
     /// Columns of variants of which anything is left, in every `stride`-th window, and the parameters that they stand

@@ -74,6 +74,12 @@ impl Place {
         model.name(ObjectKind::Joint, self.joint(model)?)
     }
 
+    /// Whether its joint has dry friction.
+    pub(in crate::gap) fn is_dry(&self, model: &Model) -> bool {
+        let friction = |joint: usize| model.dof_frictionloss()[model.jnt_dofadr()[joint] as usize];
+        self.joint(model).is_some_and(|joint| friction(joint) > 0.0)
+    }
+
     /// Its body: itself, that of its joint or geom.
     pub(in crate::gap) fn body(&self, model: &Model) -> Option<usize> {
         match self.kind {
