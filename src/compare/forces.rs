@@ -220,10 +220,8 @@ fn torques(
 ) -> Vec<Signal> {
     let interval = states.interval_s();
     let n = rows.first().map_or(0, |row| row.torques.len());
-    let inner = match (0..rows.len()).find(|k| is_inner(states, settings, *k)) {
-        Some(first) => first..rows.len() - first,
-        None => 0..0,
-    };
+    let mut ends = (0..rows.len()).filter(|k| is_inner(states, settings, *k));
+    let inner = (ends.next()).map_or(0..0, |first| first..ends.next_back().unwrap_or(first) + 1);
     let column = |i: usize| {
         let joint = model.dof_jntid()[actuated[i]] as usize;
         let name = model.name(ObjectKind::Joint, joint).unwrap_or("joint");
@@ -240,18 +238,10 @@ fn torques(
         let (mut computed, mut measured) = (pick(0), pick(1));
         if let Some(cutoff) = settings.force_cutoff_hz {
             // ends, of which no motion says the force, would spread
-            low_pass(
-                &mut computed[inner.clone()],
-                1,
-                cutoff * interval,
-                Beyond::Mirrored,
-            );
-            low_pass(
-                &mut measured[inner.clone()],
-                1,
-                cutoff * interval,
-                Beyond::Mirrored,
-            );
+            for signal in [&mut computed, &mut measured] {
+                let inner = &mut signal[inner.clone()];
+                low_pass(inner, 1, cutoff * interval, Beyond::Mirrored);
+            }
         }
         let keep = |k: &usize| used(states, settings, *k);
         let kept: Vec<usize> = (0..rows.len()).filter(keep).collect();
