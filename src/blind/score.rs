@@ -109,10 +109,9 @@ pub(super) fn score(
         hidden
             .iter()
             .all(|h| answer.effects.iter().any(|n| f(h, n)))
-            && (answer.effects.iter()).all(|n| {
-                hidden
-                    .iter()
-                    .any(|h| f(h, n) || is_under(h, &n.name, &n.at))
+            && answer.effects.iter().all(|n| {
+                let is_hidden = |h: &At| f(h, n) || is_under(h, &n.name, &n.at);
+                hidden.iter().any(is_hidden)
             })
     };
     let class = !hidden.is_empty() && all(&meant);

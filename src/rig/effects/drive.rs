@@ -25,6 +25,7 @@ pub(in crate::rig) struct Drive {
     next: usize,
     /// share of an inner step that the delay is longer than the queue
     more: f64,
+    /// what the queue gave an inner step ago
     before: f64,
     /// shares of the old value that a lag keeps at the end of an inner step, and in the mean over it; 0: no lag
     keep: f64,
@@ -68,10 +69,7 @@ impl Drive {
         }
         match bound.effect {
             Effect::ActuatorDelay if v[0] > 0.0 => self.delay(v[0], step_s),
-            Effect::ActuatorLag if v[0] > 0.0 => {
-                self.keep = (-step_s / v[0]).exp();
-                self.keep_mean = v[0] / step_s * (1.0 - self.keep);
-            }
+            Effect::ActuatorLag if v[0] > 0.0 => self.lag(v[0], step_s),
             Effect::TorqueGain => self.factor *= 1.0 + v[0],
             Effect::TorqueRipple => self.ripples.push([v[0], v[1], v[2]]),
             Effect::TorqueSaturation => {
@@ -92,6 +90,11 @@ impl Drive {
         let whole = self.queue.len() + steps as usize;
         self.queue.resize(whole, 0.0);
         self.more = steps.fract();
+    }
+
+    fn lag(&mut self, lag_s: f64, step_s: f64) {
+        self.keep = (-step_s / lag_s).exp();
+        self.keep_mean = lag_s / step_s * (1.0 - self.keep);
     }
 
     /// The control of this inner step.
@@ -121,8 +124,29 @@ impl Drive {
 mod tests {
     use super::*;
 
-    /// Impulse (N m s) that a command of 1, from the first of n steps of h on, has lost by their end.
-    fn lost(effect: Effect, amount: f64, h: f64, n: usize) -> f64 {
+    #[test]
+    fn lag_reaches_its_share_after_its_time() {
+        let mut drive = Drive::new(0);
+        drive.lag(0.01, 1e-4);
+        for _ in 0..100 {
+            drive.output(1.0, &[0.0]);
+        }
+        let u = drive.lagged;
+        assert!((u - (1.0 - (-1.0_f64).exp())).abs() < 1e-12, "{u}");
+    }
+
+    #[test]
+    fn delay_returns_the_command_of_then() {
+        let mut drive = Drive::new(0);
+        drive.queue = vec![0.0; 3];
+        let out: Vec<f64> = (1..=5)
+            .map(|k| drive.output(f64::from(k), &[0.0]))
+            .collect();
+        assert_eq!(out, [0.0, 0.0, 0.0, 1.0, 2.0]);
+    }
+
+    /// With one effect, in inner steps of `h`.
+    fn late(effect: Effect, amount: f64, h: f64) -> Drive {
         let model = Model::from_xml_str("<mujoco/>").expect("loads");
         let bound = Bound {
             effect,
@@ -132,6 +156,12 @@ mod tests {
         };
         let mut drive = Drive::new(0);
         drive.add(&model, 0, &bound, h);
+        drive
+    }
+
+    /// Impulse (N m s) that a command of 1, from the first of n steps of h on, has lost by their end.
+    fn lost(effect: Effect, amount: f64, h: f64, n: usize) -> f64 {
+        let mut drive = late(effect, amount, h);
         (0..n).map(|_| (1.0 - drive.output(1.0, &[0.0])) * h).sum()
     }
 
@@ -153,11 +183,10 @@ mod tests {
     #[test]
     fn euler_is_early_by_half_a_step() {
         let (h, delay, n) = (1e-3, 5e-3, 200);
+        let mut drive = late(Effect::ActuatorDelay, delay, h);
         let (mut q, mut v) = (0.0, 0.0);
-        let steps = delay / h + EARLY;
-        for k in 0..n {
-            let share = (f64::from(k) + 1.0 - steps).clamp(0.0, 1.0);
-            v += h * share;
+        for _ in 0..n {
+            v += h * drive.output(1.0, &[0.0]);
             q += h * v;
         }
         let exact = 0.5 * (f64::from(n) * h - delay).powi(2);
