@@ -16,6 +16,7 @@ mod absorb;
 mod again;
 mod alike;
 mod band;
+mod base;
 mod coarse;
 pub mod diff;
 pub mod effect;

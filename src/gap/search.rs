@@ -17,11 +17,10 @@ use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
 use super::screen::{Candidate, Look, Screen};
-use super::weigh::ROUGH_ITERATIONS;
 use super::windows::Windows;
-use super::{GapError, Stage, Watch};
+use super::{GapError, Stage, Watch, base};
 use crate::sysid::SysidError;
-use crate::sysid::parameter::{Parameter, ParameterRule};
+use crate::sysid::parameter::ParameterRule;
 
 /// What an effect has to reach.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,8 +59,6 @@ impl Limits {
 pub(super) const ITERATIONS: usize = 12;
 /// Iterations after which what is far behind is given up.
 pub(super) const FEW_ITERATIONS: usize = 3;
-/// Iterations of the first fit.
-const FIRST_ITERATIONS: usize = 40;
 /// Iterations before shapes of a new effect are freed.
 const HELD_ITERATIONS: usize = 3;
 /// Chance that a kept effect is none, above which it goes.
@@ -94,49 +91,17 @@ pub(super) struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    /// Fits the base model, channels weighed by what is left of them, see [`Windows::weigh`]: parameters that would have
-    /// to explain missing physics do not leave what their priors allow. Where they end depends on the first weights: by what
-    /// nominal numbers leave, or by what is left when all but noise is explained, which may lead past all priors. Of both fits
-    /// the one is taken whose parameters are nearer to their priors, as the other has explained more by them than they can;
-    /// without priors the second alone is made.
+    /// Fits the base model, see [`super::base`].
     ///
     /// # Errors
     /// See [`Windows::fit`].
     pub(super) fn new(
         of: (&'a ModelFile, &'a [ParameterRule]),
-        mut windows: Windows,
+        windows: Windows,
         limits: &(Limits, Vec<String>),
         watch: &mut Watch<'_>,
     ) -> Result<Self, GapError> {
-        let noise: Vec<f64> = windows.problem.channels.iter().map(|c| c.sigma).collect();
-        let start = windows.problem.parameters.start();
-        windows.choose_step(&start)?;
-        windows.followed(&start)?;
-        let mut explained = windows.clone();
-        let rough = explained.fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?;
-        explained.weigh(&rough.x, &noise)?;
-        let mut fitted = |mut windows: Windows| {
-            let from = (&*start, &*noise);
-            let fit = windows.fit_weighed(from, FIRST_ITERATIONS, |windows, x, most| {
-                windows.fit(x, most, &mut |i| watch.fit(i))
-            })?;
-            let prior = windows.problem.parameters.prior_cost(&fit.x);
-            Ok::<_, GapError>((prior, windows, fit))
-        };
-        let mut nearest = fitted(explained)?;
-        let parameters = &windows.problem.parameters;
-        let has_prior = |p: &Parameter| p.prior_sigma.is_finite();
-        if parameters.iter_free().any(has_prior) {
-            windows.weigh(&start, &noise)?;
-            let other = fitted(windows)?;
-            if other.0 < nearest.0 {
-                nearest = other;
-            }
-        }
-        let (_, mut windows, fit) = nearest;
-        let fit = windows.within_priors(fit, &noise, |windows, x| {
-            windows.fit(x, FIRST_ITERATIONS, &mut |i| watch.fit(i))
-        })?;
+        let (windows, noise, fit) = base::fit(windows, watch)?;
         Self::at(of, windows, limits.clone(), noise, (fit.x, fit.cost))
     }
 

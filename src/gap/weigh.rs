@@ -32,7 +32,7 @@ pub(super) const ROUGH_ITERATIONS: usize = 5;
 /// Times that channels are weighed anew, at most.
 const WEIGHINGS: usize = 8;
 /// Factor by which a weight changes, from which on it is far from what it will be.
-const FAR: f64 = 2.0;
+pub(super) const FAR: f64 = 2.0;
 /// Standard deviations that a parameter is hardly ever from its prior.
 const HARDLY: f64 = 4.0;
 /// And that it may well be.
