@@ -36,6 +36,17 @@ pub(super) struct Held {
 }
 
 impl Held {
+    /// Of one window.
+    #[cfg(test)]
+    pub(super) fn of(cost: f64, noise: f64) -> Self {
+        Self {
+            cost,
+            noise,
+            each: vec![cost],
+            block_of: vec![0],
+        }
+    }
+
     /// Cost that the noise of the sensors does not explain: motions that show little of an effect are mostly noise.
     pub(super) fn unexplained(&self) -> f64 {
         unexplained(self.cost, self.noise)
