@@ -17,7 +17,6 @@ use super::fit::Fitted;
 use super::weigh::{FAR, ROUGH_ITERATIONS};
 use super::windows::Windows;
 use super::{GapError, Watch};
-use crate::sysid::parameter::Parameter;
 
 /// Iterations of a fit.
 const ITERATIONS: usize = 40;
@@ -49,8 +48,8 @@ impl End {
     }
 }
 
-/// Fits the base model to `windows` from where its parameters start. The windows, weighed, with the noise of channels as they were
-/// told, and the fit.
+/// Fits the base model to `windows` from where its parameters start. The windows, weighed, with the noise of channels as they
+/// were told, and the fit.
 ///
 /// # Errors
 /// See [`Windows::fit`].
@@ -73,9 +72,8 @@ pub(super) fn fit(
         Ok::<_, GapError>((End::of(&windows, &fit), windows, fit))
     };
     let mut best = fitted(explained)?;
-    let has_prior = |p: &&Parameter| p.prior_sigma.is_finite();
     let free = windows.problem.parameters.iter_free();
-    let n_priors = free.filter(has_prior).count();
+    let n_priors = free.filter(|p| p.has_prior()).count();
     if n_priors > 0 {
         windows.weigh(&start, &noise)?;
         let other = fitted(windows)?;
@@ -106,6 +104,7 @@ mod tests {
             (end(2.45, -5.01), end(16.46, -5.07)),
             // and for the asymmetry of a friction
             (end(1.50, -4.19), end(60.1, -5.56)),
+            // and, a little, for a spring
             (end(4.74, -4.29), end(9.04, -4.61)),
         ];
         for (better, other) in pairs {

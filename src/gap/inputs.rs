@@ -42,7 +42,7 @@ pub(super) fn excited(search: &Search<'_>) -> Result<(), GapError> {
     let linear = search.windows.linearise(&search.x)?;
     let spread = search.normal(&linear).spread();
     let blind: Vec<&str> = (parameters.iter_free().zip(&spread))
-        .filter(|(p, sigma)| !p.prior_sigma.is_finite() && **sigma > BLIND * p.typical)
+        .filter(|(p, sigma)| !p.has_prior() && **sigma > BLIND * p.typical)
         .map(|(p, _)| p.name.as_str())
         .collect();
     if blind.is_empty() {

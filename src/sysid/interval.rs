@@ -163,7 +163,7 @@ fn held(p: &Parameter) -> Estimate {
         interval: None,
         x_sigma: None,
         dof: None,
-        prior_sigma: p.prior_sigma.is_finite().then_some(p.prior_sigma),
+        prior_sigma: p.has_prior().then_some(p.prior_sigma),
         inflation: None,
         label: Label::Frozen,
     }

@@ -101,6 +101,11 @@ pub struct Parameter {
 }
 
 impl Parameter {
+    /// Whether anything was known of it before.
+    pub fn has_prior(&self) -> bool {
+        self.prior_sigma.is_finite()
+    }
+
     /// x of a value.
     pub fn to_x(&self, value: f64) -> f64 {
         match self.scale {

@@ -15,14 +15,14 @@ impl Parameters {
 
     /// (x − x̄)/σₓ of the free parameters that have a prior.
     fn offsets(&self, x: &[f64]) -> impl Iterator<Item = f64> {
-        let known = (self.iter_free().zip(x)).filter(|(p, _)| p.prior_sigma.is_finite());
+        let known = (self.iter_free().zip(x)).filter(|(p, _)| p.has_prior());
         known.map(|(p, x)| (x - p.to_x(p.prior)) / p.prior_sigma)
     }
 
     /// Its curvature and slope by each free parameter; 0 without a prior.
     pub(crate) fn prior_slopes(&self, x: &[f64]) -> impl Iterator<Item = (f64, f64)> {
         self.iter_free().zip(x).map(|(p, x)| {
-            if !p.prior_sigma.is_finite() {
+            if !p.has_prior() {
                 return (0.0, 0.0);
             }
             let precision = p.prior_sigma.powi(-2);

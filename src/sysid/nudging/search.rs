@@ -201,7 +201,7 @@ impl<'a> Search<'a> {
 
 /// Spread of a parameter in the first ensemble.
 fn first_spread(parameter: &Parameter) -> f64 {
-    if parameter.prior_sigma.is_finite() {
+    if parameter.has_prior() {
         WIDE[0] * parameter.prior_sigma
     } else {
         WIDE[1] * parameter.typical

@@ -122,7 +122,7 @@ impl<'a> Swarm<'a> {
             let mut rng = rng::stream(seed, Purpose::Swarm, 0, i as u64);
             let mut z: Vec<f64> = (free.iter().zip(&course.ranges))
                 .map(|(p, range)| {
-                    if p.prior_sigma.is_finite() {
+                    if p.has_prior() {
                         let x = p.to_x(p.prior) + p.prior_sigma * rng::normal(&mut rng);
                         x.clamp(range.0, range.1)
                     } else {

@@ -150,7 +150,7 @@ impl Regression<'_> {
         for (i, &j) in free.iter().enumerate() {
             let p = parameters[j];
             let value = p.to_value(x[j]);
-            if p.prior_sigma.is_finite() {
+            if p.has_prior() {
                 let sigma = p.prior_sigma * self.problem.parameters.slope(j, value);
                 normal[(i, i)] += sigma.powi(-2);
                 right[i] -= (value - p.prior) * sigma.powi(-2);
