@@ -19,8 +19,8 @@ use super::search::{ITERATIONS, Search};
 use super::{GapError, Stage, Watch};
 
 impl Search<'_> {
-    /// Adds the effect found last at other places that ask for it, and takes out what is no longer needed then. What comes back is the screen of the present model, where
-    /// one was made.
+    /// Adds the effect found last at other places that ask for it, and takes out what is no longer needed then. What comes back
+    /// is the screen of the present model, where one was made.
     ///
     /// # Errors
     /// The engine refuses a number; [`GapError::Stopped`].

@@ -97,7 +97,8 @@ impl Search<'_> {
             return Ok(false);
         }
         watch.stage(Stage::Refit);
-        let least = self.limits.gain * self.unexplained(screen);
+        let unexplained = self.unexplained(screen);
+        let least = self.limits.gain * unexplained;
         let mut fitted: Vec<(Fitted, &Candidate)> = Vec::new();
         for c in rivals {
             fitted.extend(self.begun(c, screen, watch)?);
@@ -131,7 +132,7 @@ impl Search<'_> {
         let mut absurd: Option<f64> = None;
         for (i, of) in tried.iter().enumerate() {
             let own = &of.fit;
-            let gain = (self.cost - own.cost) / self.cost;
+            let gain = fall(own) / self.cost;
             let own_size = left.map(|part| part * gain.sqrt());
             if own_size.is_some_and(|size| size < OWN * self.limits.size) {
                 continue;
@@ -161,8 +162,7 @@ impl Search<'_> {
                 // few blocks say little: they take nothing away
                 evidence.p_value = both(evidence.p_value, chance).min(evidence.p_value);
             }
-            let fall = self.cost - own.cost;
-            let much = is_much((fall, self.cost, self.unexplained(screen)), falls);
+            let much = is_much((fall(own), self.cost, unexplained), falls);
             let visible = of.candidate.score.as_ref().map_or(0.0, |s| s.visible);
             let large = self.limits.large(evidence.size) && visible >= HARDLY_VISIBLE;
             if self.limits.significant(evidence.p_value) && (large || much) {
@@ -211,8 +211,8 @@ impl Search<'_> {
     /// Candidates to be fitted, best first; then what the catalogue says may be mistaken for the best: a screen is linear, and
     /// what turns gravity by much is not.
     fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
-        let (least, tests) = (self.limits.gain * self.unexplained(screen), tests(screen));
-        let most = LEADING * self.unexplained(screen);
+        let (unexplained, tests) = (self.unexplained(screen), tests(screen));
+        let (least, most) = (self.limits.gain * unexplained, LEADING * unexplained);
         let likely =
             |s: &Score| (s.p_value * tests as f64 <= LIKELY || s.gain >= most) && s.held_gain > 0.0;
         let large = |c: &Candidate| c.size.is_none_or(|size| size >= LARGE * self.limits.size);
