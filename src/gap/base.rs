@@ -4,10 +4,11 @@
 //! first weights: by what nominal numbers leave, or by what is left when all but noise is explained, which may lead past all
 //! priors. Of both fits the one is taken whose parameters are nearer to their priors, as the other has explained more by
 //! them than they can. But a fit that is lost, with windows that end at a stop which the machine never met, leaves parameters
-//! alone too, as hardly anything weighs in it. So the one that leaves less than half is taken where chance allows its priors:
+//! alone too, as hardly anything weighs in it. So the one that leaves less than half is taken where chance allows its priors, or
+//! where it leaves no more than noise:
 //!
 //! ```text
-//! mean ln σ < mean ln σ' − ln 2    and    ½ Σ z² ≤ n
+//! mean ln σ < mean ln σ' − ln 2    and    (½ Σ z² ≤ n  or  all σ ≤ 2 noise)
 //! ```
 //!
 //! with σ, σ' of the channels in the two fits and z the n distances from priors, in standard deviations. Without priors the fit
@@ -28,22 +29,27 @@ struct End {
     prior: f64,
     /// mean logarithm of the channels' standard deviations
     left: f64,
+    /// whether that is more than noise
+    misfit: bool,
 }
 
 impl End {
-    fn of(windows: &Windows, fit: &Fitted) -> Self {
+    fn of(windows: &Windows, fit: &Fitted, noise: &[f64]) -> Self {
         let channels = &windows.problem.channels;
         let sum: f64 = channels.iter().map(|c| c.sigma.ln()).sum();
         Self {
             prior: windows.problem.parameters.prior_cost(&fit.x),
             left: sum / channels.len().max(1) as f64,
+            misfit: windows.misfit(noise),
         }
     }
 
     /// Whether a fit that ended so is to be preferred to one that ended like `other`, with so many priors.
     fn is_better(self, other: Self, n_priors: usize) -> bool {
-        let found =
-            |own: Self, lost: Self| own.left < lost.left - FAR.ln() && own.prior <= n_priors as f64;
+        let found = |own: Self, lost: Self| {
+            let may_be = !own.misfit || own.prior <= n_priors as f64;
+            own.left < lost.left - FAR.ln() && may_be
+        };
         found(self, other) || (!found(other, self) && self.prior < other.prior)
     }
 }
@@ -69,7 +75,7 @@ pub(super) fn fit(
         let fit = windows.fit_weighed(from, ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut |i| watch.fit(i))
         })?;
-        Ok::<_, GapError>((End::of(&windows, &fit), windows, fit))
+        Ok::<_, GapError>((End::of(&windows, &fit, &noise), windows, fit))
     };
     let mut best = fitted(explained)?;
     let free = windows.problem.parameters.iter_free();
@@ -95,7 +101,11 @@ mod tests {
     /// Ends of fits of fingers, 11 priors: what another leaves is not much less, or explained by parameters that cannot be.
     #[test]
     fn priors_decide_unless_a_fit_is_lost() {
-        let end = |prior: f64, left: f64| End { prior, left };
+        let end = |prior: f64, left: f64| End {
+            prior,
+            left,
+            misfit: left > -9.5,
+        };
         // (the better, the other)
         let pairs = [
             // lost: windows ended at a stop
@@ -106,6 +116,8 @@ mod tests {
             (end(1.50, -4.19), end(60.1, -5.56)),
             // and, a little, for a spring
             (end(4.74, -4.29), end(9.04, -4.61)),
+            // a number far from its prior, and nothing else
+            (end(20.0, -9.7), end(1.0, -4.0)),
         ];
         for (better, other) in pairs {
             assert!(better.is_better(other, 11) && !other.is_better(better, 11));

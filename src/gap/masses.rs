@@ -12,7 +12,7 @@ use crate::mujoco::Data;
 use crate::recording::{Channel, Kind, Meta, Recording, Stream};
 use crate::rng::{self, Purpose};
 
-/// Two masses with motors; `a` and `b` are attributes of their joints.
+/// Two masses with motors, which begin at one place and do not touch; `a` and `b` are attributes of their joints.
 pub(super) fn machine(a: &str, b: &str) -> ModelFile {
     let joint = |name: &str, axis: &str, more: &str| {
         format!(
@@ -20,7 +20,7 @@ pub(super) fn machine(a: &str, b: &str) -> ModelFile {
         )
     };
     let xml = format!(
-        r#"<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>{}{}</worldbody>
+        r#"<mujoco><option timestep="0.002" gravity="0 0 0"><flag contact="disable"/></option><worldbody>{}{}</worldbody>
         <actuator><motor name="ma" joint="a"/><motor name="mb" joint="b"/></actuator>
         <sensor><jointpos name="sa" joint="a"/><jointpos name="sb" joint="b"/></sensor></mujoco>"#,
         joint("a", "1 0 0", a),
