@@ -2,13 +2,14 @@
 //!
 //! With parameters held, windows have nothing to do with each other. Where friction holds or a stop is met, one
 //! linearisation serves a window badly, and one step for all leaves it far from what the model could do with it: its
-//! misfit then weighs on parameters. Such a window takes steps of its own, each with its own damping:
+//! misfit then weighs on parameters. Such a window, and one that fits much worse than others, takes steps of its own, each with
+//! its own damping:
 //!
 //! ```text
 //! ds = −(RᵀR + λ D)⁻¹ Rᵀ Qᵀ r        until ½ |Qᵀ r|² is a small part of the mean window's cost
 //! ```
 //!
-//! with Q, R of [`super::linear`], at the window's own point, or from where it was measured if that is nearer.
+//! with Q, R of [`super::linear`], at the window's own point, or from one of those that were measured if that is nearer.
 
 use super::fit::Followed;
 use super::linear::{Linear, Row, damped};
@@ -16,6 +17,8 @@ use super::windows::Windows;
 
 /// Part of the mean cost of a window that its state may still take off it.
 const SETTLED: f64 = 0.05;
+/// Cost of a window, in mean ones, from which it may have gone astray.
+const ASTRAY: f64 = 2.0;
 /// Steps of a window at most.
 const STEPS: usize = 5;
 const FIRST_DAMPING: f64 = 1e-6;
@@ -27,14 +30,16 @@ impl Windows {
     /// point. Windows that the engine refuses to follow stay where they are.
     pub(super) fn settle(&self, x: &[f64], here: &mut [Followed], linear: &Linear) {
         let total: f64 = here.iter().map(|f| f.cost).sum();
-        let enough = SETTLED * total / here.len() as f64;
+        let mean = total / here.len() as f64;
+        let enough = SETTLED * mean;
         // what the state could take off, were the window linear
         let left_in = |row: &Row, f: &Followed| row.basis.tr_mul(&f.weighted(row));
         let mut left: Vec<usize> = (0..here.len())
             .filter(|&w| {
                 let row = &linear.rows[w];
                 let same = row.weight.len() == here[w].residual.len();
-                !same || 0.5 * left_in(row, &here[w]).norm_squared() > enough
+                let left = || 0.5 * left_in(row, &here[w]).norm_squared();
+                !same || here[w].cost > ASTRAY * mean || left() > enough
             })
             .collect();
         if left.is_empty() {
@@ -43,7 +48,10 @@ impl Windows {
         let mut held = self.clone();
         held.problem = self.held(&self.problem, x);
         // steps for another model may have led a window astray
-        if let Ok(found) = held.simulate_some(&[], &self.measured, &left) {
+        for measured in &self.measured {
+            let Ok(found) = held.simulate_some(&[], measured, &left) else {
+                continue;
+            };
             for (&w, found) in left.iter().zip(found) {
                 if let Some(found) = found
                     && found.cost < here[w].cost

@@ -45,8 +45,8 @@ pub(super) struct Windows {
     pub trajectories: Vec<Vec<f64>>,
     /// first state of each window
     pub states: Vec<State>,
-    /// the same as it was measured
-    pub measured: Vec<State>,
+    /// the same as they were measured: with the velocity of the first step, and with that of the first quarter of the window
+    pub measured: [Vec<State>; 2],
     /// of each window: degrees of freedom of which it says nothing, see [`super::lying`]
     pub still: Vec<Vec<usize>>,
     /// s
@@ -152,15 +152,21 @@ impl Windows {
             origin,
             trajectories,
             states: Vec::new(),
-            measured: Vec::new(),
+            measured: Default::default(),
             still,
             length_s,
             factor: 1,
         };
-        cut.states = (cut.windows().iter().zip(&cut.trajectories))
-            .map(|(w, t)| State::on(&cut.problem, w, t))
-            .collect::<Result<_, _>>()?;
-        cut.measured.clone_from(&cut.states);
+        let each = cut.windows().into_iter().zip(&cut.trajectories);
+        let states: Vec<[State; 2]> = each
+            .map(|(w, t)| {
+                let first = State::on(&cut.problem, &w, t)?;
+                let calm = calm(&whole.model, t, &first)?;
+                Ok([first, calm])
+            })
+            .collect::<Result<_, SysidError>>()?;
+        cut.measured = [0, 1].map(|way| states.iter().map(|s| s[way].clone()).collect());
+        cut.states.clone_from(&cut.measured[0]);
         Ok(cut)
     }
 
@@ -177,7 +183,8 @@ impl Windows {
             origin: kept.iter().map(|&i| self.origin[i]).collect(),
             trajectories: kept.iter().map(|&i| self.trajectories[i].clone()).collect(),
             states: kept.iter().map(|&i| self.states[i].clone()).collect(),
-            measured: kept.iter().map(|&i| self.measured[i].clone()).collect(),
+            measured: (self.measured.each_ref())
+                .map(|way| kept.iter().map(|&i| way[i].clone()).collect()),
             still: kept.iter().map(|&i| self.still[i].clone()).collect(),
             length_s: self.length_s,
             factor: self.factor,
@@ -207,6 +214,25 @@ impl Windows {
         let own = |name: &str| names.iter().position(|p| p.name == name).map(|i| values[i]);
         hold(problem, |p| own(&p.name).unwrap_or(p.start))
     }
+}
+
+/// The `first` state of a window with the velocity of a parabola through a quarter of its `trajectory` (knots × nq): what rattles
+/// in its play has another in every step.
+fn calm(model: &Model, trajectory: &[f64], first: &State) -> Result<State, SysidError> {
+    let (nq, h) = (model.nq(), model.timestep());
+    let eighth = ((trajectory.len() / nq - 1) / 8).max(1);
+    let knot = |k: usize| &trajectory[k * nq..(k + 1) * nq];
+    let (mut qvel, mut later) = (vec![0.0; model.nv()], vec![0.0; model.nv()]);
+    let span = eighth as f64 * h;
+    model.differentiate_pos(&mut qvel, span, knot(0), knot(eighth))?;
+    model.differentiate_pos(&mut later, span, knot(0), knot(2 * eighth))?;
+    for (v, later) in qvel.iter_mut().zip(&later) {
+        *v = 2.0 * *v - 0.5 * later;
+    }
+    Ok(State {
+        qpos: first.qpos.clone(),
+        qvel,
+    })
 }
 
 /// Knots `first ..= last` of a trial as one of its own.
