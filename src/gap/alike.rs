@@ -10,6 +10,15 @@
 //! While they are fitted channels are weighed by what the model before them leaves, which is more: there costs are less, for
 //! all by the factor by which that of k is.
 //!
+//! Laws of dry friction differ most at rest, where none is known: a few stretches that stick decide, by an offset or by friction
+//! that differs with direction, which are one law while something moves. Of neighbours in the catalogue of which one is a variety
+//! of dry friction the difference has therefore to be sure from stretch to stretch too (Vuong 1989, "Likelihood ratio tests for
+//! model selection and non-nested hypotheses"):
+//!
+//! ```text
+//! d² = min(2 (C(j) − C(k)),  (Σ Δ)² / (S var Δ))        Δ: C(j) − C(k) of each of S stretches
+//! ```
+//!
 //! A machine moves on in no steps, a model in steps of h, which do what a late or early command does. There is therefore
 //! also a cost without steps ([`super::step`]), which orders the rivals where it is clearly less for the best fit of all. It
 //! is not for what was itself simulated in steps, nor where joints stick, of which half the step says little. What is
@@ -19,9 +28,11 @@
 //! looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart, and held-out
 //! recordings besides, is exchanged for the one that was chosen.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
-use super::effect::{Place, named};
+use super::effect::{Effect, Place, are_neighbours, named};
 use super::held_out::falls;
 use super::model::{Built, Chosen};
 use super::name::APART;
@@ -29,6 +40,7 @@ use super::result::Where;
 use super::screen::{Candidate, Screen};
 use super::search::{FEW_ITERATIONS, Fitted, Search};
 use super::step::WithoutSteps;
+use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 use crate::sysid::problem::Problem;
 
@@ -111,6 +123,10 @@ pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError
 }
 
 impl Fitted {
+    fn at(&self) -> Point<'_> {
+        (&self.windows, &self.x)
+    }
+
     /// As [`change`].
     fn cost_without_steps(&self) -> Result<Option<f64>, GapError> {
         let linear = self.windows.linearise(&self.x)?;
@@ -139,10 +155,47 @@ fn separation(rival: (&[f64; 2], &[f64]), chosen: (&[f64; 2], &[f64]), left: f64
     each.fold(f64::INFINITY, f64::min)
 }
 
+/// d² of a `rival` fit from the `chosen` one by how much their costs differ from stretch to stretch; infinite where one cannot
+/// be followed.
+fn separation_by_stretch(
+    (rival, chosen): (Point<'_>, Point<'_>),
+    stretch_of: &[usize],
+) -> Result<f64, GapError> {
+    let follow = |(windows, x): Point<'_>| windows.simulate(x, &windows.states);
+    let (Some(rival), Some(chosen)) = (follow(rival)?, follow(chosen)?) else {
+        return Ok(f64::INFINITY);
+    };
+    let each = rival.iter().zip(&chosen).map(|(r, c)| r.cost - c.cost);
+    Ok(sureness(each.zip(stretch_of)))
+}
+
+/// Whether effects may be mistaken for each other but for what a joint that sticks does.
+fn differ_at_rest(one: &dyn Effect, other: &dyn Effect) -> bool {
+    are_neighbours(one, other) && (one.about().is_variety() || other.about().is_variety())
+}
+
+/// Square of a sum over its variance from stretch to stretch, of `parts` that belong to stretches; 0 for a sum below 0.
+fn sureness<'a>(parts: impl Iterator<Item = (f64, &'a usize)>) -> f64 {
+    let mut sums: BTreeMap<usize, f64> = BTreeMap::new();
+    for (part, stretch) in parts {
+        *sums.entry(*stretch).or_default() += part;
+    }
+    let n = sums.len() as f64;
+    let sum: f64 = sums.values().sum();
+    let squares: f64 = sums.values().map(|own| (own - sum / n).powi(2)).sum();
+    if sum <= 0.0 {
+        return 0.0;
+    }
+    sum * sum * (n - 1.0) / (n * squares)
+}
+
 /// d² of what costs `price` from what costs `chosen`.
 pub(super) fn apart(price: f64, chosen: f64) -> f64 {
     (2.0 * (price - chosen)).max(0.0)
 }
+
+/// Fitted windows at their parameters.
+type Point<'a> = (&'a Windows, &'a [f64]);
 
 /// A candidate in the model, fitted.
 pub(super) struct Tried<'s> {
@@ -161,20 +214,34 @@ impl Tried<'_> {
 
 /// Rivals of the fit `chosen` of all that are alike or nearly so, the added effect of each being the last, where that is known
 /// to leave `cost`.
-pub(super) fn rivals(tried: &[Tried<'_>], chosen: usize, cost: f64) -> Vec<Rival> {
+///
+/// # Errors
+/// The engine refuses a number.
+pub(super) fn rivals(
+    tried: &[Tried<'_>],
+    chosen: usize,
+    (cost, stretch_of): (f64, &[usize]),
+) -> Result<Vec<Rival>, GapError> {
     let own = &tried[chosen];
-    let others = tried.iter().enumerate().filter(|(i, _)| *i != chosen);
-    let mut all: Vec<Rival> = others
-        .filter_map(|(_, t)| {
-            let separation = separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost);
-            Some(Rival::of(t.fit.chosen.last()?, separation))
-        })
-        .collect();
+    let mut all: Vec<Rival> = Vec::new();
+    for (i, t) in tried.iter().enumerate() {
+        let Some(added) = t.fit.chosen.last().filter(|_| i != chosen) else {
+            continue;
+        };
+        let mut d2 = separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost);
+        if differ_at_rest(t.candidate.effect, own.candidate.effect) {
+            d2 = d2.min(separation_by_stretch(
+                (t.fit.at(), own.fit.at()),
+                stretch_of,
+            )?);
+        }
+        all.push(Rival::of(added, d2));
+    }
     all.sort_by(|a, b| a.separation.total_cmp(&b.separation));
     let alike = all.iter().take_while(|r| r.is_alike()).count();
     all.truncate(alike + RUNNERS_UP);
     all.retain(|r| r.separation < NEARLY);
-    all
+    Ok(all)
 }
 
 impl Search<'_> {
@@ -246,7 +313,7 @@ impl Search<'_> {
                 let Some(mut fitted) = self.fitted(&chosen, FEW_ITERATIONS, watch)? else {
                     continue;
                 };
-                if fitted.cost > HOPELESS * self.cost {
+                if fitted.cost > HOPELESS * self.cost && !rival.is_alike() {
                     continue;
                 }
                 fitted.improve(watch)?;
@@ -263,7 +330,12 @@ impl Search<'_> {
                     *self = self.settled_with(fitted, watch)?;
                     (own_steps, exchanged) = (None, true);
                 } else {
-                    let separation = separation(other, own, self.cost);
+                    let mut separation = separation(other, own, self.cost);
+                    if differ_at_rest(effect, self.chosen[i].effect) {
+                        let points = (fitted.at(), (&self.windows, &self.x[..]));
+                        separation =
+                            separation.min(separation_by_stretch(points, &self.stretch_of)?);
+                    }
                     left.push(Rival {
                         separation,
                         ..rival
@@ -312,6 +384,19 @@ mod tests {
             assert_eq!(search.chosen[0].effect.about().name, "joint_spring");
             assert!(search.evidence[0].alike.is_empty());
         });
+    }
+
+    /// What a few stretches say of two laws is not enough, however loud; nor what one half of them says and the other denies.
+    #[test]
+    fn what_few_stretches_tell_apart_is_alike() {
+        let by = |each: [f64; 8]| sureness(each.into_iter().zip(&[0, 1, 2, 3, 4, 5, 6, 7]));
+        assert!(by([100.0, 60.0, 0.1, 0.2, 0.0, 0.1, 0.3, 0.1]) < APART);
+        assert!(by([5.0, -4.0, 5.0, -4.0, 5.0, -4.0, 5.0, -4.0]) < APART);
+        assert!(by([3.0, 2.0, 4.0, 3.0, 2.0, 4.0, 3.0, 3.0]) > APART);
+        assert!(by([-3.0, -2.0, -4.0, -3.0, -2.0, -4.0, -3.0, -3.0]) == 0.0);
+        // windows of one stretch speak once: sum 8, two of them apart by 2
+        let two = sureness([5.0, 0.0, 3.0, 0.0].into_iter().zip(&[0, 0, 1, 1]));
+        assert!((two - 16.0).abs() < 1e-9, "{two}");
     }
 
     /// A drive's delay that followed a lag better in steps, and worse without, is told from it by neither alone.

@@ -166,7 +166,7 @@ impl Search<'_> {
             let visible = of.candidate.score.as_ref().map_or(0.0, |s| s.visible);
             let large = self.limits.large(evidence.size) && visible >= HARDLY_VISIBLE;
             if self.limits.significant(evidence.p_value) && (large || much) {
-                evidence.alike = alike::rivals(&tried, i, then.cost);
+                evidence.alike = alike::rivals(&tried, i, (then.cost, &self.stretch_of))?;
                 then.evidence.push(evidence);
                 *self = then;
                 return Ok(true);
