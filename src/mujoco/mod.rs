@@ -31,6 +31,7 @@ mod outcome;
 mod sensor;
 mod state;
 mod swap;
+mod touch;
 
 pub use data::Data;
 pub use edit::ModelEdit;

@@ -11,8 +11,6 @@ use crate::mujoco::{Model, ObjectKind};
 
 /// Weights of both geoms below this are none, `mjMINVAL`.
 const LEAST_MIX: f64 = 1e-15;
-/// `mjDSBL_FILTERPARENT`: bodies touch their parents too.
-const PARENTS_TOO: i32 = 1 << 9;
 
 /// Geoms with names that may touch by their masks, a moving one first, and are in no pair.
 pub(super) fn couples(model: &Model) -> Vec<Place> {
@@ -23,10 +21,10 @@ pub(super) fn couples(model: &Model) -> Vec<Place> {
             let (Some(one), Some(other)) = (name(a), name(b)) else {
                 continue;
             };
-            if !may_touch(model, a, b) || pair_of(model, a, b).is_some() {
+            if !model.may_touch(a, b) || pair_of(model, a, b).is_some() {
                 continue;
             }
-            let still = |g: usize| weld(model, g) == 0;
+            let still = |g: usize| model.weld(g) == 0;
             let (first, second) = if still(a) { (other, one) } else { (one, other) };
             out.push(Place {
                 with: Some(second.to_owned()),
@@ -41,27 +39,6 @@ pub(super) fn couples(model: &Model) -> Vec<Place> {
 fn pair_of(model: &Model, a: usize, b: usize) -> Option<usize> {
     let mut pairs = model.pair_geom1().iter().zip(model.pair_geom2());
     pairs.position(|(&g, &h)| [[a, b], [b, a]].contains(&[g as usize, h as usize]))
-}
-
-/// The body that a geom's is welded to, 0 for the world.
-fn weld(model: &Model, geom: usize) -> usize {
-    model.body_weldid()[model.geom_bodyid()[geom] as usize] as usize
-}
-
-fn may_touch(model: &Model, a: usize, b: usize) -> bool {
-    let (own, other) = (model.geom_contype(), model.geom_conaffinity());
-    if own[a] & other[b] == 0 && own[b] & other[a] == 0 {
-        return false;
-    }
-    let bodies = [a, b].map(|g| model.geom_bodyid()[g]);
-    let (least, most) = (bodies[0].min(bodies[1]), bodies[0].max(bodies[1]));
-    if (model.exclude_signature()).contains(&(((least + 1) << 16) + most + 1)) {
-        return false;
-    }
-    let [one, two] = [a, b].map(|g| weld(model, g));
-    let parent = |body: usize| model.body_weldid()[model.body_parentid()[body] as usize] as usize;
-    let kin = one != 0 && two != 0 && (parent(one) == two || parent(two) == one);
-    one != two && (!kin || model.option().disable_flags & PARENTS_TOO != 0)
 }
 
 /// What a contact has of its two geoms.
