@@ -6,34 +6,44 @@ use super::effect;
 use super::run::Input;
 use super::search::Search;
 use super::{GapError, windows};
+use crate::mujoco::Model;
 use crate::sysid::problem::{ChannelRule, Problem, ProblemConfig};
 
 /// Standard deviation of a parameter, in changes that matter, from which the recordings say nothing of it.
 const BLIND: f64 = 30.0;
 
+/// Names of the effects to look for: those asked for, and dry friction where one of them is a variety of it that has none to
+/// vary.
+///
+/// # Errors
 /// Effects must exist, and have a place in the model.
-pub(super) fn check_effects(
-    names: &[String],
-    model: &crate::mujoco::Model,
-) -> Result<(), GapError> {
+pub(super) fn wanted(names: &[String], model: &Model) -> Result<Vec<String>, GapError> {
+    let mut wanted = names.to_vec();
     for name in names {
         let known = || {
             let mut all: Vec<&str> = effect::CATALOGUE.iter().map(|e| e.about().name).collect();
             all.sort_unstable();
             all.join(", ")
         };
-        let reason = match effect::named(name) {
+        let places = effect::named(name).map(|e| (e, e.places(model)));
+        let reason = match places {
             None => format!("there is no effect `{name}`; there are {}", known()),
-            Some(e) if e.places(model).is_empty() => format!(
+            Some((e, places)) if places.is_empty() => format!(
                 "the model cannot carry the effect `{name}` ({}): it has no place where that could act; leave it out, \
                  or give the model such a place",
                 e.about().law
             ),
-            Some(_) => continue,
+            Some((e, places)) => {
+                let bare = e.about().is_variety() && !places.iter().any(|p| p.is_dry(model));
+                if bare && !wanted.iter().any(|n| n == effect::DRY) {
+                    wanted.push(effect::DRY.to_owned());
+                }
+                continue;
+            }
         };
         return Err(GapError::Input { reason });
     }
-    Ok(())
+    Ok(wanted)
 }
 
 /// Every fitted parameter must show in the recordings, or have a prior.
@@ -130,4 +140,25 @@ pub(super) fn same_channels(
         return Err(GapError::Input { reason });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{effect, wanted};
+    use crate::gap::masses::machine;
+
+    #[test]
+    fn a_variety_of_friction_brings_what_it_varies() {
+        let (smooth, dry) = (machine("", ""), machine("", r#"frictionloss=".1""#));
+        let asked = |names: &[&str], model| {
+            let names: Vec<String> = names.iter().map(|n| (*n).to_owned()).collect();
+            wanted(&names, model).expect("they have places")
+        };
+        let both = ["asymmetric_friction", effect::DRY];
+        assert_eq!(asked(&both[..1], &smooth.model), both);
+        assert_eq!(asked(&both, &smooth.model), both);
+        assert_eq!(asked(&both[..1], &dry.model), both[..1]);
+        assert_eq!(asked(&["joint_spring"], &smooth.model), ["joint_spring"]);
+        assert!(asked(&[], &smooth.model).is_empty());
+    }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::effect::ModelFile;
-use super::inputs::{check_effects, excited, judged, same_channels};
+use super::inputs::{excited, judged, same_channels, wanted};
 use super::locate::Missing;
 use super::null::Null;
 use super::result::{Answer, Remaining, Tested, Verdict};
@@ -371,7 +371,7 @@ pub(super) fn begin<'a>(
     watch: &mut Watch<'_>,
 ) -> Result<(Problem, Search<'a>), GapError> {
     watch.stage(Stage::Fit);
-    check_effects(&options.effects, &input.model.model)?;
+    let effects = wanted(&options.effects, &input.model.model)?;
     let config = judged(input)?;
     let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
     same_channels(&whole, &config, input)?;
@@ -381,7 +381,7 @@ pub(super) fn begin<'a>(
     let start = whole.parameters.start();
     let mut cut = Windows::cut(&whole, &start, length, options.most_windows)?;
     let rules = &input.config.parameter;
-    let limits = (options.limits, options.effects.clone());
+    let limits = (options.limits, effects);
     if let Some(known) = stages::load::<Fit>(keeper, "fit") {
         let noise = cut.problem.channels.iter().map(|c| c.sigma).collect();
         if let Some(at) = known.restore(&mut cut) {

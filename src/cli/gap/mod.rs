@@ -91,7 +91,7 @@ struct SearchArgs {
     /// Most effects; the same at several places is one
     #[arg(long, value_name = "N", default_value = "4", value_parser = count)]
     max_effects: usize,
-    /// Look for these effects only [default: all of the catalogue]
+    /// Look for these effects only, and for the dry friction that one of them varies [default: all of the catalogue]
     #[arg(long, value_name = "EFFECT", num_args = 1..)]
     effects: Vec<String>,
     /// Seed of what is drawn

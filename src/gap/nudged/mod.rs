@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 
 use super::effect::{Place, named};
 use super::evidence::Evidence;
-use super::inputs::check_effects;
+use super::inputs::wanted;
 use super::locate::Missing;
 use super::model::Chosen;
 use super::result::{Answer, Holdout, Located, Remaining, Tested, Untestable, Verdict};
@@ -109,7 +109,7 @@ pub(super) fn resume(
     keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, GapError> {
-    check_effects(&options.effects, &input.model.model)?;
+    let effects = wanted(&options.effects, &input.model.model)?;
     let problems = Problems::new(input)?;
     let (mut judge, base) = begin(input, &problems, hz, keeper, watch)?;
     watch.stage(Stage::Locate);
@@ -118,7 +118,7 @@ pub(super) fn resume(
     let held_before = held(&judge, &base, length_s)?;
     let before_machine = repair::machine(&base.machine.problem, &base.point.x)?;
     // its columns serve for all models: what they make of them is looked at again where it matters
-    let screened = screen::screen(&judge, &base, &options.effects, watch)?;
+    let screened = screen::screen(&judge, &base, &effects, watch)?;
     let mut found: Option<Fitted> = None;
     let mut kept: Vec<Evidence> = Vec::new();
     let mut tries: Vec<Vec<f64>> = Vec::new();

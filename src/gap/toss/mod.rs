@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 
 use super::effect::{Place, named};
 use super::evidence::Evidence;
-use super::inputs::check_effects;
+use super::inputs::wanted;
 use super::model::Chosen;
 use super::repair::{machine, repaired, rules};
 use super::result::{Answer, Located, Remaining, Tested, Untestable, Verdict};
@@ -85,7 +85,7 @@ pub(super) fn resume(
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, GapError> {
     watch.stage(Stage::Fit);
-    check_effects(&options.effects, &input.model.model)?;
+    let effects = wanted(&options.effects, &input.model.model)?;
     let judge = Judge::new(input, options.seed)?;
     let broken = || GapError::Input {
         reason: "rollouts of the base model break down: see its time step and contacts".into(),
@@ -102,7 +102,7 @@ pub(super) fn resume(
         let seen = judge.polish(&seen, false, watch)?.ok_or_else(broken)?.seen;
         watch.stage(Stage::Locate);
         let located = locate::locate(&judge, &seen)?;
-        let all = candidates(&judge, &[], &options.effects);
+        let all = candidates(&judge, &[], &effects);
         let tried = screen(&judge, &seen, &all, watch)?;
         let first = First {
             base: seen.point.base.clone(),
@@ -133,7 +133,7 @@ pub(super) fn resume(
         let tried = if let Some(tried) = screened.take() {
             tried
         } else {
-            let all = candidates(&judge, &seen.point.chosen, &options.effects);
+            let all = candidates(&judge, &seen.point.chosen, &effects);
             screen(&judge, &seen, &all, watch)?
         };
         let more = forward::forward(&judge, &options.limits, &seen, tried, watch)?;
