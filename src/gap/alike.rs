@@ -51,7 +51,7 @@ const CLEARLY: f64 = 0.8;
 /// Separation up to which what is not alike is remembered, and how many of these: effects found later may turn it round.
 const NEARLY: f64 = 50.0;
 const RUNNERS_UP: usize = 3;
-/// Times the present cost that another effect may leave after few iterations.
+/// Times the present cost that another effect may leave after few iterations, unless it was alike.
 const HOPELESS: f64 = 2.0;
 /// Places of costs with and without steps.
 const WITH: usize = 0;
@@ -123,7 +123,7 @@ pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError
 }
 
 impl Fitted {
-    fn at(&self) -> Point<'_> {
+    fn at(&self) -> FitAt<'_> {
         (&self.windows, &self.x)
     }
 
@@ -158,15 +158,16 @@ fn separation(rival: (&[f64; 2], &[f64]), chosen: (&[f64; 2], &[f64]), left: f64
 /// d² of a `rival` fit from the `chosen` one by how much their costs differ from stretch to stretch; infinite where one cannot
 /// be followed.
 fn separation_by_stretch(
-    (rival, chosen): (Point<'_>, Point<'_>),
+    rival: FitAt<'_>,
+    chosen: FitAt<'_>,
     stretch_of: &[usize],
 ) -> Result<f64, GapError> {
-    let follow = |(windows, x): Point<'_>| windows.simulate(x, &windows.states);
+    let follow = |(windows, x): FitAt<'_>| windows.simulate(x, &windows.states);
     let (Some(rival), Some(chosen)) = (follow(rival)?, follow(chosen)?) else {
         return Ok(f64::INFINITY);
     };
     let each = rival.iter().zip(&chosen).map(|(r, c)| r.cost - c.cost);
-    Ok(sureness(each.zip(stretch_of)))
+    Ok(squared_t(each.zip(stretch_of)))
 }
 
 /// Whether effects may be mistaken for each other but for what a joint that sticks does.
@@ -175,7 +176,7 @@ fn differ_at_rest(one: &dyn Effect, other: &dyn Effect) -> bool {
 }
 
 /// Square of a sum over its variance from stretch to stretch, of `parts` that belong to stretches; 0 for a sum below 0.
-fn sureness<'a>(parts: impl Iterator<Item = (f64, &'a usize)>) -> f64 {
+fn squared_t<'a>(parts: impl Iterator<Item = (f64, &'a usize)>) -> f64 {
     let mut sums: BTreeMap<usize, f64> = BTreeMap::new();
     for (part, stretch) in parts {
         *sums.entry(*stretch).or_default() += part;
@@ -195,7 +196,7 @@ pub(super) fn apart(price: f64, chosen: f64) -> f64 {
 }
 
 /// Fitted windows at their parameters.
-type Point<'a> = (&'a Windows, &'a [f64]);
+type FitAt<'a> = (&'a Windows, &'a [f64]);
 
 /// A candidate in the model, fitted.
 pub(super) struct Tried<'s> {
@@ -230,10 +231,7 @@ pub(super) fn rivals(
         };
         let mut d2 = separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost);
         if differ_at_rest(t.candidate.effect, own.candidate.effect) {
-            d2 = d2.min(separation_by_stretch(
-                (t.fit.at(), own.fit.at()),
-                stretch_of,
-            )?);
+            d2 = d2.min(separation_by_stretch(t.fit.at(), own.fit.at(), stretch_of)?);
         }
         all.push(Rival::of(added, d2));
     }
@@ -330,14 +328,13 @@ impl Search<'_> {
                     *self = self.settled_with(fitted, watch)?;
                     (own_steps, exchanged) = (None, true);
                 } else {
-                    let mut separation = separation(other, own, self.cost);
+                    let mut d2 = separation(other, own, self.cost);
                     if differ_at_rest(effect, self.chosen[i].effect) {
-                        let points = (fitted.at(), (&self.windows, &self.x[..]));
-                        separation =
-                            separation.min(separation_by_stretch(points, &self.stretch_of)?);
+                        let (other, own) = (fitted.at(), (&self.windows, &self.x[..]));
+                        d2 = d2.min(separation_by_stretch(other, own, &self.stretch_of)?);
                     }
                     left.push(Rival {
-                        separation,
+                        separation: d2,
                         ..rival
                     });
                 }
@@ -389,13 +386,13 @@ mod tests {
     /// What a few stretches say of two laws is not enough, however loud; nor what one half of them says and the other denies.
     #[test]
     fn what_few_stretches_tell_apart_is_alike() {
-        let by = |each: [f64; 8]| sureness(each.into_iter().zip(&[0, 1, 2, 3, 4, 5, 6, 7]));
+        let by = |each: [f64; 8]| squared_t(each.into_iter().zip(&[0, 1, 2, 3, 4, 5, 6, 7]));
         assert!(by([100.0, 60.0, 0.1, 0.2, 0.0, 0.1, 0.3, 0.1]) < APART);
         assert!(by([5.0, -4.0, 5.0, -4.0, 5.0, -4.0, 5.0, -4.0]) < APART);
         assert!(by([3.0, 2.0, 4.0, 3.0, 2.0, 4.0, 3.0, 3.0]) > APART);
         assert!(by([-3.0, -2.0, -4.0, -3.0, -2.0, -4.0, -3.0, -3.0]) == 0.0);
         // windows of one stretch speak once: sum 8, two of them apart by 2
-        let two = sureness([5.0, 0.0, 3.0, 0.0].into_iter().zip(&[0, 0, 1, 1]));
+        let two = squared_t([5.0, 0.0, 3.0, 0.0].into_iter().zip(&[0, 0, 1, 1]));
         assert!((two - 16.0).abs() < 1e-9, "{two}");
     }
 

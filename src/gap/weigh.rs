@@ -49,7 +49,7 @@ pub(super) struct Weights {
 }
 
 impl Windows {
-    /// Fits from `x` on until weights are near what is left, the last time with so many iterations; `fit` is told from where,
+    /// Fits from `x` on until weights are near what is left, before and after a fit of so many iterations; `fit` is told from where,
     /// and how many.
     ///
     /// # Errors
@@ -63,11 +63,8 @@ impl Windows {
         let mut fitted = fit(self, x, ROUGH_ITERATIONS)?;
         for _ in 0..WEIGHINGS {
             let near = self.weigh(&fitted.x, noise)? < FAR;
-            fitted = fit(
-                self,
-                &fitted.x,
-                if near { iterations } else { ROUGH_ITERATIONS },
-            )?;
+            let most = if near { iterations } else { ROUGH_ITERATIONS };
+            fitted = fit(self, &fitted.x, most)?;
             if near && self.change(&self.weights(&fitted.x, noise)?) < FAR {
                 break;
             }
