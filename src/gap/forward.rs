@@ -23,8 +23,8 @@ use super::{GapError, Stage, Watch};
 const RIVALS: usize = 8;
 /// And of what the best may be mistaken for.
 const NEIGHBOURS: usize = 2;
-/// So many candidates would look as good by chance, of one that is worth a fit; or it explains most of what is left: dry
-/// friction shows in few stretches, which a jackknife believes little.
+/// So many candidates would look as good by chance, of one that is worth a fit; or it explains much of what is left: dry
+/// friction and stops show in few stretches, which a jackknife believes little.
 const LIKELY: f64 = 3.0;
 /// Part of the least size that such a one promises.
 const LARGE: f64 = 0.1;
@@ -212,9 +212,9 @@ impl Search<'_> {
     /// what turns gravity by much is not.
     fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
         let (unexplained, tests) = (self.unexplained(screen), tests(screen));
-        let (least, most) = (self.limits.gain * unexplained, LEADING * unexplained);
+        let (least, much) = (self.limits.gain * unexplained, MUCH * unexplained);
         let likely =
-            |s: &Score| (s.p_value * tests as f64 <= LIKELY || s.gain >= most) && s.held_gain > 0.0;
+            |s: &Score| (s.p_value * tests as f64 <= LIKELY || s.gain >= much) && s.held_gain > 0.0;
         let large = |c: &Candidate| c.size.is_none_or(|size| size >= LARGE * self.limits.size);
         let found = self.best_first(screen, |c, s| large(c) && s.gain >= least && likely(s));
         let most = found.first().map_or(0.0, |f| f.1.held_gain);
