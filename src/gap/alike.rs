@@ -28,8 +28,6 @@
 //! looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart, and held-out
 //! recordings besides, is exchanged for the one that was chosen.
 
-use std::collections::BTreeMap;
-
 use serde::{Deserialize, Serialize};
 
 use super::effect::{Effect, Place, are_neighbours, named};
@@ -37,6 +35,7 @@ use super::held_out::falls;
 use super::model::{Built, Chosen};
 use super::name::APART;
 use super::result::Where;
+use super::score::by_stretch;
 use super::screen::{Candidate, Screen};
 use super::search::{FEW_ITERATIONS, Fitted, Search};
 use super::step::WithoutSteps;
@@ -123,10 +122,6 @@ pub(super) fn costs(fits: &[&Fitted]) -> Result<(Vec<[f64; 2]>, usize), GapError
 }
 
 impl Fitted {
-    fn at(&self) -> FitAt<'_> {
-        (&self.windows, &self.x)
-    }
-
     /// As [`change`].
     fn cost_without_steps(&self) -> Result<Option<f64>, GapError> {
         let linear = self.windows.linearise(&self.x)?;
@@ -155,19 +150,22 @@ fn separation(rival: (&[f64; 2], &[f64]), chosen: (&[f64; 2], &[f64]), left: f64
     each.fold(f64::INFINITY, f64::min)
 }
 
-/// d² of a `rival` fit from the `chosen` one by how much their costs differ from stretch to stretch; infinite where one cannot
-/// be followed.
+/// d² of the fit of a `rival` from that of the `chosen` effect by how much their costs differ from stretch to stretch; infinite
+/// where more than what a joint does at rest tells the effects apart, or one cannot be followed.
 fn separation_by_stretch(
-    rival: FitAt<'_>,
-    chosen: FitAt<'_>,
+    rival: FitOf<'_>,
+    chosen: FitOf<'_>,
     stretch_of: &[usize],
 ) -> Result<f64, GapError> {
-    let follow = |(windows, x): FitAt<'_>| windows.simulate(x, &windows.states);
+    if !differ_at_rest(rival.0, chosen.0) {
+        return Ok(f64::INFINITY);
+    }
+    let follow = |(_, windows, x): FitOf<'_>| windows.simulate(x, &windows.states);
     let (Some(rival), Some(chosen)) = (follow(rival)?, follow(chosen)?) else {
         return Ok(f64::INFINITY);
     };
     let each = rival.iter().zip(&chosen).map(|(r, c)| r.cost - c.cost);
-    Ok(squared_t(each.zip(stretch_of)))
+    Ok(squared_t(&by_stretch(each, stretch_of)))
 }
 
 /// Whether effects may be mistaken for each other but for what a joint that sticks does.
@@ -175,15 +173,11 @@ fn differ_at_rest(one: &dyn Effect, other: &dyn Effect) -> bool {
     are_neighbours(one, other) && (one.about().is_variety() || other.about().is_variety())
 }
 
-/// Square of a sum over its variance from stretch to stretch, of `parts` that belong to stretches; 0 for a sum below 0.
-fn squared_t<'a>(parts: impl Iterator<Item = (f64, &'a usize)>) -> f64 {
-    let mut sums: BTreeMap<usize, f64> = BTreeMap::new();
-    for (part, stretch) in parts {
-        *sums.entry(*stretch).or_default() += part;
-    }
-    let n = sums.len() as f64;
-    let sum: f64 = sums.values().sum();
-    let squares: f64 = sums.values().map(|own| (own - sum / n).powi(2)).sum();
+/// Square of the sum of `parts` over its variance; 0 for a sum below 0.
+fn squared_t(parts: &[f64]) -> f64 {
+    let n = parts.len() as f64;
+    let sum: f64 = parts.iter().sum();
+    let squares: f64 = parts.iter().map(|own| (own - sum / n).powi(2)).sum();
     if sum <= 0.0 {
         return 0.0;
     }
@@ -195,8 +189,8 @@ pub(super) fn apart(price: f64, chosen: f64) -> f64 {
     (2.0 * (price - chosen)).max(0.0)
 }
 
-/// Fitted windows at their parameters.
-type FitAt<'a> = (&'a Windows, &'a [f64]);
+/// An effect, and windows fitted with it at their parameters.
+type FitOf<'a> = (&'a dyn Effect, &'a Windows, &'a [f64]);
 
 /// A candidate in the model, fitted.
 pub(super) struct Tried<'s> {
@@ -207,6 +201,10 @@ pub(super) struct Tried<'s> {
 }
 
 impl Tried<'_> {
+    fn fit(&self) -> FitOf<'_> {
+        (self.candidate.effect, &self.fit.windows, &self.fit.x)
+    }
+
     /// By the cost `which`, divided by `unit`.
     pub(super) fn price(&self, which: usize, unit: f64) -> f64 {
         price(self.costs[which] / unit, &self.fit.x)
@@ -229,11 +227,9 @@ pub(super) fn rivals(
         let Some(added) = t.fit.chosen.last().filter(|_| i != chosen) else {
             continue;
         };
-        let mut d2 = separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost);
-        if differ_at_rest(t.candidate.effect, own.candidate.effect) {
-            d2 = d2.min(separation_by_stretch(t.fit.at(), own.fit.at(), stretch_of)?);
-        }
-        all.push(Rival::of(added, d2));
+        let d2 = separation((&t.costs, &t.fit.x), (&own.costs, &own.fit.x), cost);
+        let surely = separation_by_stretch(t.fit(), own.fit(), stretch_of)?;
+        all.push(Rival::of(added, d2.min(surely)));
     }
     all.sort_by(|a, b| a.separation.total_cmp(&b.separation));
     let alike = all.iter().take_while(|r| r.is_alike()).count();
@@ -328,13 +324,12 @@ impl Search<'_> {
                     *self = self.settled_with(fitted, watch)?;
                     (own_steps, exchanged) = (None, true);
                 } else {
-                    let mut d2 = separation(other, own, self.cost);
-                    if differ_at_rest(effect, self.chosen[i].effect) {
-                        let (other, own) = (fitted.at(), (&self.windows, &self.x[..]));
-                        d2 = d2.min(separation_by_stretch(other, own, &self.stretch_of)?);
-                    }
+                    let d2 = separation(other, own, self.cost);
+                    let other: FitOf<'_> = (effect, &fitted.windows, &fitted.x);
+                    let own: FitOf<'_> = (self.chosen[i].effect, &self.windows, &self.x);
+                    let surely = separation_by_stretch(other, own, &self.stretch_of)?;
                     left.push(Rival {
-                        separation: d2,
+                        separation: d2.min(surely),
                         ..rival
                     });
                 }
@@ -386,13 +381,13 @@ mod tests {
     /// What a few stretches say of two laws is not enough, however loud; nor what one half of them says and the other denies.
     #[test]
     fn what_few_stretches_tell_apart_is_alike() {
-        let by = |each: [f64; 8]| squared_t(each.into_iter().zip(&[0, 1, 2, 3, 4, 5, 6, 7]));
+        let by = |each: [f64; 8]| squared_t(&each);
         assert!(by([100.0, 60.0, 0.1, 0.2, 0.0, 0.1, 0.3, 0.1]) < APART);
         assert!(by([5.0, -4.0, 5.0, -4.0, 5.0, -4.0, 5.0, -4.0]) < APART);
         assert!(by([3.0, 2.0, 4.0, 3.0, 2.0, 4.0, 3.0, 3.0]) > APART);
         assert!(by([-3.0, -2.0, -4.0, -3.0, -2.0, -4.0, -3.0, -3.0]) == 0.0);
         // windows of one stretch speak once: sum 8, two of them apart by 2
-        let two = squared_t([5.0, 0.0, 3.0, 0.0].into_iter().zip(&[0, 0, 1, 1]));
+        let two = squared_t(&by_stretch([5.0, 0.0, 3.0, 0.0].into_iter(), &[0, 0, 1, 1]));
         assert!((two - 16.0).abs() < 1e-9, "{two}");
     }
 

@@ -13,7 +13,7 @@
 
 use super::GapError;
 use super::model::Built;
-use super::score::stretches;
+use super::score::{by_stretch, stretches};
 use super::search::{ITERATIONS, Search};
 use super::windows::Windows;
 use crate::sysid::SysidError;
@@ -54,11 +54,9 @@ impl Held {
 
     /// Chance of so much less than `before`.
     pub(super) fn chance(&self, before: &Self) -> f64 {
-        let mut falls = vec![0.0; self.block_of.iter().max().map_or(0, |b| b + 1)];
-        for ((after, before), block) in self.each.iter().zip(&before.each).zip(&self.block_of) {
-            falls[*block] += before - after;
-        }
-        chance(&falls)
+        let each = self.each.iter().zip(&before.each);
+        let falls = each.map(|(after, before)| before - after);
+        chance(&by_stretch(falls, &self.block_of))
     }
 }
 

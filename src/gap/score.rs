@@ -97,6 +97,15 @@ pub(super) fn stretches(recording: &[usize], count: usize) -> Vec<usize> {
     out
 }
 
+/// Sums of what each window has over its stretch.
+pub(super) fn by_stretch(parts: impl Iterator<Item = f64>, stretch_of: &[usize]) -> Vec<f64> {
+    let mut sums = vec![0.0; stretch_of.iter().max().map_or(0, |most| most + 1)];
+    for (part, stretch) in parts.zip(stretch_of) {
+        sums[*stretch] += part;
+    }
+    sums
+}
+
 impl Normal {
     /// Of all windows. `prior` is (precision, gradient) of every parameter.
     pub(super) fn new(
