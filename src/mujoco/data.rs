@@ -43,6 +43,8 @@ pub struct Data {
     poison: Option<String>,
     /// The model's extension at work here.
     pub(super) extended: Option<Box<Extended>>,
+    /// (nu) see [`Data::hold`]; empty: 0
+    pub(super) late: Vec<f64>,
 }
 
 // SAFETY: mjData holds no thread-bound resource, and this type owns it. It is not `Sync` because
@@ -62,6 +64,7 @@ impl Data {
         Ok(Self {
             raw,
             extended: Extended::of(&model),
+            late: Vec::new(),
             model,
             poison: None,
         })

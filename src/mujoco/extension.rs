@@ -213,6 +213,19 @@ impl Data {
         })
     }
 
+    /// Tells extensions the commands (nu) that hold in the step to come, where ctrl has those of a time that suits the engine;
+    /// none: those of ctrl. What moves by itself within a step follows them.
+    pub fn hold(&mut self, commands: Option<&[f64]>) {
+        let late =
+            (commands.unwrap_or_default().iter().zip(self.ctrl())).map(|(held, own)| held - own);
+        self.late = late.collect();
+    }
+
+    /// What the command of an actuator that holds in the step to come is more than its ctrl.
+    pub fn late(&self, actuator: usize) -> f64 {
+        self.late.get(actuator).copied().unwrap_or(0.0)
+    }
+
     /// Position and velocity of a hinge or slide as its encoder shows them; without an extension the true ones.
     ///
     /// # Panics

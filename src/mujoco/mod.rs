@@ -46,3 +46,6 @@ pub use sensor::JointReading;
 pub use state::State;
 
 use mujoco_sys as ffi;
+
+/// Numbers a row of `actuator_gainprm` and `actuator_biasprm`.
+pub const N_PRM: usize = ffi::mjNGAIN as usize;

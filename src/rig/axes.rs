@@ -1,6 +1,6 @@
 //! The axes of a machine: its motors that turn or slide one joint each.
 
-use crate::mujoco::Model;
+use crate::mujoco::{Model, N_PRM};
 
 // `mjtJoint`, `mjtTrn`, `mjtGain`, `mjtBias`, `mjtDyn` of the engine's model format
 const SLIDE: i32 = 2;
@@ -9,8 +9,6 @@ const ON_JOINT: i32 = 0;
 const FIXED_GAIN: i32 = 0;
 const AFFINE_BIAS: i32 = 1;
 const NO_DYNAMICS: i32 = 0;
-/// Numbers a row of `actuator_gainprm` and `actuator_biasprm`.
-const N_PRM: usize = 10;
 
 /// Whether a joint of this type has one coordinate.
 pub(super) fn is_scalar(joint_type: i32) -> bool {

@@ -45,7 +45,7 @@ pub(super) fn ripple(model: &Model, actuator: usize) -> Built {
 }
 
 /// The command as the actuator's range lets it pass.
-fn limited(model: &Model, actuator: usize, command: f64) -> f64 {
+pub(super) fn limited(model: &Model, actuator: usize, command: f64) -> f64 {
     let range = &model.actuator_ctrlrange()[2 * actuator..2 * actuator + 2];
     let clamps = model.option().disable_flags & CLAMP_DISABLED == 0;
     if clamps && model.actuator_ctrllimited()[actuator] != 0 {

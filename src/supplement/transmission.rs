@@ -17,9 +17,10 @@
 //! Memory: whether it has begun, s, s', and the joint's velocity one step ago. Where the motion of the motor θ = q + s was
 //! measured it says how the transmission was loaded then, t = τ − J θ''.
 
+use super::command::limited;
 use super::law::{At, Built, Law};
 use super::parse;
-use crate::mujoco::{Data, Forces, Model};
+use crate::mujoco::{Data, Forces, Model, N_PRM};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Joining {
@@ -154,10 +155,21 @@ fn first_meeting(s: f64, v: f64, a: f64, half: f64) -> Option<(f64, f64)> {
 }
 
 impl Transmission {
-    /// The motor's.
+    /// The motor's in the step to come.
     fn torque(&self, data: &Data) -> f64 {
-        let moment = data.actuator_moment()[self.actuator * data.model().nv() + self.dof];
-        data.actuator_force()[self.actuator] * moment
+        let (model, actuator) = (data.model(), self.actuator);
+        let moment = data.actuator_moment()[actuator * model.nv() + self.dof];
+        let mut force = data.actuator_force()[actuator];
+        let late = data.late(actuator);
+        if late != 0.0 && model.na() == 0 {
+            let (ctrl, gain) = (
+                data.ctrl()[actuator],
+                model.actuator_gainprm()[N_PRM * actuator],
+            );
+            force +=
+                gain * (limited(model, actuator, ctrl + late) - limited(model, actuator, ctrl));
+        }
+        force * moment
     }
 
     /// The motor at the beginning and at the end of the step.

@@ -328,12 +328,24 @@ impl Problem {
         first: isize,
         n: usize,
     ) -> Vec<f64> {
-        let (h, nu) = (self.model.timestep(), self.model.nu());
-        let free = self.free_values(x);
         let early = match self.command {
-            CommandTiming::Centred => 0.5 * h,
+            CommandTiming::Centred => 0.5 * self.model.timestep(),
             CommandTiming::Held => 0.0,
         };
+        self.means(trial, x, (first, n), early)
+    }
+
+    /// What motors themselves get: means of the command over the step that begins at each knot of a trial (`n_knots` × nu). None
+    /// where those are the controls.
+    pub(crate) fn held_controls(&self, trial: &Trial, x: &[f64]) -> Option<Vec<f64>> {
+        let held = self.command == CommandTiming::Held;
+        (!held).then(|| self.means(trial, x, (0, trial.n_knots), 0.0))
+    }
+
+    /// Means of the commands over a step from `early` s before each of `n` knots from `first` (n × nu).
+    fn means(&self, trial: &Trial, x: &[f64], (first, n): (isize, usize), early: f64) -> Vec<f64> {
+        let (h, nu) = (self.model.timestep(), self.model.nu());
+        let free = self.free_values(x);
         let mut out = vec![0.0; n * nu];
         for (i, series) in trial.controls.iter().enumerate() {
             let delay = self.command_delay[i].value(&free);

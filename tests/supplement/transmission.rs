@@ -184,3 +184,26 @@ fn a_transmission_is_loaded_as_its_motor_moved() {
         );
     }
 }
+
+/// Identification gives the engine means around a knot; a motor on its spring feels what holds after it.
+#[test]
+fn a_motor_follows_the_command_that_holds() {
+    let spring = numeric("transmission_compliance", "m", "0.02 0.3");
+    // stretch, its speed and that of the joint
+    let moved = |ctrl: f64, held: Option<[f64; 1]>| {
+        let mut data = rotor(&spring, "");
+        data.step().expect("a step at rest");
+        data.ctrl_mut()[0] = ctrl;
+        data.hold(held.as_ref().map(<[f64; 1]>::as_slice));
+        data.step().expect("a step");
+        let (shown, own) = (data.encoder(0), data.joint_state(0));
+        [shown[0] - own[0], shown[1] - own[1], own[1]]
+    };
+    let (own, held) = (moved(1.5, None), moved(0.5, Some([1.5])));
+    assert!(own[0] > 1e-4 && (held[0] - own[0]).abs() < 1e-2 * own[0]);
+    // the momentum of both is the engine's command's
+    let momentum = INERTIA * held[2] + ARMATURE * held[1];
+    assert!((momentum - 0.5 * STEP).abs() < 1e-9, "{momentum}");
+    // beyond the range of the actuator there is no more
+    assert_eq!(moved(0.5, Some([2.0])), moved(0.5, Some([7.0])));
+}

@@ -1,13 +1,13 @@
 //! What motors make of their commands.
 
 use super::joint::{PERIODS, TWO_PERIODS, gear};
-use super::place::{N_PRM, Site, joint_motors, motors};
+use super::place::{Site, joint_motors, motors};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Role,
     Shows, Sign,
 };
 use crate::mjcf::structure::Change;
-use crate::mujoco::{Model, ObjectKind};
+use crate::mujoco::{Model, N_PRM, ObjectKind};
 
 /// The greatest force of an actuator before its gear, if its control is limited.
 fn full_force(model: &Model, actuator: usize) -> Option<f64> {

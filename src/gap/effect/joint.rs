@@ -1,11 +1,11 @@
 //! Springs, offsets, rotors and stops of joints.
 
-use super::place::{N_PRM, Site, is_motor, joint_of, joints};
+use super::place::{Site, is_motor, joint_of, joints};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Shows,
 };
 use crate::mjcf::structure::Change;
-use crate::mujoco::{Model, ObjectKind};
+use crate::mujoco::{Model, N_PRM, ObjectKind};
 
 /// Periods of ripple in a travel to try: neighbours differ by what a motion over the travel can tell apart.
 pub(super) const PERIODS: &[f64] = &[

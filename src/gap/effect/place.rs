@@ -4,11 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::mujoco::{Measures, Model, ObjectKind};
+use crate::mujoco::{Measures, Model, N_PRM, ObjectKind};
 use crate::sysid::reach::Contacts;
-
-/// Numbers a row of `actuator_gainprm` and `actuator_biasprm`.
-pub(super) const N_PRM: usize = 10;
 
 /// What a place is a name of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -130,6 +130,7 @@ impl<'a> Simulator<'a> {
         let mut end = state.clone();
         let mut contacts = Contacts::new();
         data.restore_state(initial)?;
+        data.hold(None);
         data.clear_warnings();
         data.qpos_mut().copy_from_slice(&state.qpos);
         data.qvel_mut().copy_from_slice(&state.qvel);
@@ -142,6 +143,8 @@ impl<'a> Simulator<'a> {
             let path = trial.path.as_ref().map(|p| (p, begin_s));
             past(data, state, &commands, path)?;
         }
+        let trial = &problem.trials[window.trial];
+        let held = (is_loaded(&problem.model).then(|| problem.held_controls(trial, x))).flatten();
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
             data.ctrl_mut()
                 .copy_from_slice(&controls[k * nu..(k + 1) * nu]);
@@ -150,6 +153,7 @@ impl<'a> Simulator<'a> {
                 end.qpos.copy_from_slice(data.qpos());
                 end.qvel.copy_from_slice(data.qvel());
             }
+            data.hold(held.as_ref().map(|held| &held[k * nu..(k + 1) * nu]));
             push(k - window.first, data);
             self::read(problem, &problem.model, data, row, false);
             // the step leaves the sensors of its beginning
