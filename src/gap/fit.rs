@@ -52,8 +52,12 @@ pub(super) struct Fitted {
 #[derive(Debug, Clone)]
 pub(super) struct Followed {
     pub state: State,
+    /// at the last knot
+    pub end: State,
     /// (rows) in standard deviations
     pub residual: Vec<f64>,
+    /// (rows) as sensors have it
+    pub predicted: Vec<f64>,
     /// (knots × nq)
     qpos: Vec<f64>,
     pub cost: f64,
@@ -107,9 +111,11 @@ impl Windows {
             let simulated = simulated?;
             let samples = &self.problem.trials[w].samples;
             let mut cost = 0.0;
-            let residual = (simulated.samples(&self.problem, &windows[w], &placed[w]))
-                .zip(&placed[w])
-                .map(|((z, _), p)| {
+            let predicted: Vec<f64> = (simulated.samples(&self.problem, &windows[w], &placed[w]))
+                .map(|(z, _)| z)
+                .collect();
+            let residual = (predicted.iter().zip(&placed[w]))
+                .map(|(&z, p)| {
                     let s = &samples[p.sample];
                     let c = &self.problem.channels[s.channel];
                     let r = (c.reading(&free, z) - s.value) / c.sigma;
@@ -119,7 +125,9 @@ impl Windows {
                 .collect();
             Some(Followed {
                 state: states[w].clone(),
+                end: simulated.end,
                 residual,
+                predicted,
                 qpos: simulated.qpos,
                 cost,
                 samples: placed[w].iter().map(|p| p.sample).collect(),

@@ -43,6 +43,8 @@ pub(super) struct Row {
     pub triangle: DMatrix<f64>,
     /// (rows) predictions in the steps of derivatives
     predicted: Vec<f64>,
+    /// (rows) predictions in the model's own steps
+    exact: Vec<f64>,
     /// (rows) of a prediction in its row
     pub factor: Vec<f64>,
     /// (rows) root of the norm's weight
@@ -157,6 +159,7 @@ impl Windows {
                 triangle: basis.tr_mul(&by_state),
                 basis,
                 predicted,
+                exact: here[w].predicted.clone(),
                 weight,
                 channel,
                 parameters,
@@ -254,8 +257,9 @@ fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 impl Linear {
-    /// What another model, without free parameters, makes of the windows `some`, whose motion `simulate` makes: change
-    /// of each row. None for other windows, and where it diverges: nothing can be said there.
+    /// What another model, without free parameters, makes of the windows `some`, whose motion `simulate` makes, in the steps of
+    /// derivatives or, `exactly`, in the model's own: change of each row. None for other windows, and where it diverges:
+    /// nothing can be said there.
     ///
     /// # Errors
     /// The engine refuses a number.
@@ -263,9 +267,10 @@ impl Linear {
         &self,
         held: &Problem,
         some: &[usize],
+        exactly: bool,
         simulate: Simulate<'_>,
     ) -> Result<Moved, SysidError> {
-        let longer = self.steps as f64;
+        let longer = if exactly { 1.0 } else { self.steps as f64 };
         let slow = coarse::problem(held, longer)?;
         let windows = coarse::windows(&self.windows, longer);
         let windows: Vec<Window> = some.iter().map(|i| windows[*i].clone()).collect();
@@ -288,8 +293,8 @@ impl Linear {
             let Some(simulated) = simulated else { continue };
             let row = &self.rows[some[k]];
             let moved = simulated.samples(&slow, &windows[k], &placed[k]);
-            let change =
-                (moved.enumerate()).map(|(i, (z, _))| row.factor[i] * (z - row.predicted[i]));
+            let before = if exactly { &row.exact } else { &row.predicted };
+            let change = (moved.enumerate()).map(|(i, (z, _))| row.factor[i] * (z - before[i]));
             out[some[k]] = Some(DVector::from_iterator(row.residual.len(), change));
         }
         Ok(out)
@@ -363,7 +368,7 @@ impl Linear {
             }
         }
         let all: Vec<usize> = (0..self.windows.len()).collect();
-        let moved = self.moved(&still, &all, &mut |point| point.simulate())?;
+        let moved = self.moved(&still, &all, false, &mut |point| point.simulate())?;
         // elsewhere a solver's rounding would look like them
         Ok(Some(self.part_of(
             &moved,

@@ -31,6 +31,11 @@ pub(super) fn machine(a: &str, b: &str) -> ModelFile {
 
 /// Four seconds of sines, read with a hundredth of a millimetre of noise.
 pub(super) fn record(machine: &ModelFile) -> Recording {
+    record_hammered(machine, 0.0)
+}
+
+/// The same with a force on mass `a` that is there in every third step, N, with none on average.
+fn record_hammered(machine: &ModelFile, hammer: f64) -> Recording {
     const NOISE_M: f64 = 1e-5;
     let channel = |name: &str, kind, unit: &str, noise_sigma| Channel {
         name: name.into(),
@@ -46,12 +51,13 @@ pub(super) fn record(machine: &ModelFile) -> Recording {
     let mut rng = rng::stream(4, Purpose::SensorNoise, 0, 0);
     for k in 0..2000_i64 {
         let t = data.time();
+        let turning = hammer * if k % 3 == 0 { 1.0 } else { -0.5 };
         let push = [
-            (7.0 * t).sin() + (11.0 * t).cos(),
+            (7.0 * t).sin() + (11.0 * t).cos() + turning,
             (9.0 * t).cos() + (4.0 * t).sin(),
         ];
-        let mut row: Vec<f64> = (data.qpos().iter())
-            .map(|q| q + NOISE_M * rng::normal(&mut rng))
+        let mut row: Vec<f64> = ([0, 1].iter())
+            .map(|joint| data.encoder(*joint)[0] + NOISE_M * rng::normal(&mut rng))
             .collect();
         row.extend(push);
         stream.push(k * 2_000_000, &row);
@@ -83,9 +89,19 @@ pub(super) fn searching(
     parameters: &str,
     then: impl FnOnce(&mut Search<'_>, &mut Watch<'_>),
 ) {
+    searching_hammered(base, (hidden, 0.0), parameters, then);
+}
+
+/// The same of a machine that is hammered in every third step, N.
+pub(super) fn searching_hammered(
+    base: &ModelFile,
+    (hidden, hammer): (&ModelFile, f64),
+    parameters: &str,
+    then: impl FnOnce(&mut Search<'_>, &mut Watch<'_>),
+) {
     let config = toml::from_str(&format!("command = \"held\"\n{parameters}"));
     let (config, protocol) = (config.expect("a configuration"), Settings::default());
-    let train = [("sines".to_owned(), record(hidden))];
+    let train = [("sines".to_owned(), record_hammered(hidden, hammer))];
     let input = Input {
         model: base,
         config: &config,

@@ -303,12 +303,16 @@ pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant
                 for &j in &sizes {
                     values[j] = 0.0;
                 }
-                match parameters[i].role {
-                    // all or nothing: the column is the whole effect
-                    Role::Threshold(_) => values[i] = set[i],
-                    _ => values[i] = parameters[i].typical(scales),
-                }
-                let size = parameters[i].unit_size(scales);
+                values[i] = match parameters[i].role {
+                    Role::Threshold(_) | Role::Bent(_) => set[i],
+                    _ => parameters[i].typical(scales),
+                };
+                // all or nothing: the column is the whole effect
+                let size = if parameters[i].is_whole() {
+                    1.0
+                } else {
+                    values[i]
+                };
                 (size, values)
             });
             Variant {

@@ -55,7 +55,7 @@ impl Pulses {
         let all: Vec<usize> = (0..linear.windows.len()).collect();
         let mut columns = Vec::with_capacity(PARTS);
         for part in 0..PARTS {
-            let moved = linear.moved(held, &all, &mut |point| {
+            let moved = linear.moved(held, &all, false, &mut |point| {
                 let steps = |w: usize| point.windows[w].len() - 1;
                 point.simulate_pushed(&all, &|w, knot, force| {
                     let inside = knot * PARTS / steps(w).max(1) == part;

@@ -142,7 +142,13 @@ impl<'a> Search<'a> {
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn screen(&self, watch: &mut Watch<'_>) -> Result<Option<Screen>, GapError> {
-        let look = Look {
+        watch.stage(Stage::Screen);
+        self.look().screen(&mut |done, of| watch.part(done, of))
+    }
+
+    /// What a screen looks at.
+    pub(super) fn look(&self) -> Look<'_> {
+        Look {
             base: self.base,
             built: &self.built,
             windows: &self.windows,
@@ -153,9 +159,7 @@ impl<'a> Search<'a> {
             taken: (self.chosen.iter())
                 .map(|c| (c.effect.about().name, c.place.clone()))
                 .collect(),
-        };
-        watch.stage(Stage::Screen);
-        look.screen(&mut |done, of| watch.part(done, of))
+        }
     }
 
     /// Weighs the channels by what is left now, and fits again.

@@ -61,10 +61,11 @@ fn sizes_follow_the_machine() {
             assert!(typical.is_finite() && !p.unit(&scales).is_empty());
             let gridded = matches!(
                 p.role,
-                Role::Shape(_) | Role::Choice(_) | Role::Threshold(_)
+                Role::Shape(_) | Role::Choice(_) | Role::Threshold(_) | Role::Bent(_)
             );
             assert_eq!(gridded, !grid.is_empty(), "{}", p.name);
-            assert!(grid.is_empty() || grid[0] == typical);
+            let starts = matches!(p.role, Role::Bent(_)) || grid.first() == Some(&typical);
+            assert!(grid.is_empty() || starts, "{}", p.name);
             assert!(
                 p.is_size() || !matches!(p.role, Role::Amplitude),
                 "{}",

@@ -115,6 +115,11 @@ pub trait Effect: std::fmt::Debug + Sync {
     /// The reason why it cannot be said there.
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String>;
 
+    /// Whether steps longer than the model's own do not show it.
+    fn is_quick(&self) -> bool {
+        false
+    }
+
     /// What it is proportional to, if it is a sine and a cosine of the joint's angle whose period is its last parameter:
     /// then the best period is found without a simulation for each.
     fn periodic(&self) -> Option<Periodic> {

@@ -12,6 +12,8 @@ use crate::mujoco::{Model, ObjectKind};
 pub enum Role {
     /// where all of these are 0 there is no effect; small ones add up
     Amplitude,
+    /// an amplitude that does not act in proportion to its size; to be tried with several, in multiples of the scale
+    Bent(&'static [f64]),
     /// as an amplitude, but at 0 there is only a simpler effect
     Companion,
     /// says nothing at amplitude 0; to be tried on a grid, in multiples of the scale, the first one first
@@ -113,6 +115,16 @@ impl Parameter {
         Self::new(name, dimension, Role::Amplitude, range)
     }
 
+    /// A size of at least 0 that is to be tried with these.
+    pub(super) const fn bent(
+        name: &'static str,
+        dimension: Dimension,
+        tried: &'static [f64],
+        range: [f64; 2],
+    ) -> Self {
+        Self::new(name, dimension, Role::Bent(tried), range)
+    }
+
     /// A size at 0 of which a simpler effect is left.
     pub(super) const fn companion(
         name: &'static str,
@@ -202,7 +214,7 @@ impl Parameter {
         let multiple = match self.role {
             Role::Shape(grid) | Role::Choice(grid) | Role::Threshold(grid) => grid[0],
             Role::Switch => 1.0,
-            Role::Amplitude | Role::Companion => (self.low * self.high).sqrt(),
+            Role::Amplitude | Role::Bent(_) | Role::Companion => (self.low * self.high).sqrt(),
         };
         multiple * self.scale(scales)
     }
@@ -210,7 +222,7 @@ impl Parameter {
     /// The values of its grid; empty if it has none.
     pub fn grid(&self, scales: &Scales) -> Vec<f64> {
         match self.role {
-            Role::Shape(grid) | Role::Choice(grid) | Role::Threshold(grid) => {
+            Role::Shape(grid) | Role::Choice(grid) | Role::Threshold(grid) | Role::Bent(grid) => {
                 grid.iter().map(|x| x * self.scale(scales)).collect()
             }
             _ => Vec::new(),
@@ -258,7 +270,7 @@ impl Parameter {
     pub fn is_size(&self) -> bool {
         matches!(
             self.role,
-            Role::Amplitude | Role::Threshold(_) | Role::Switch
+            Role::Amplitude | Role::Bent(_) | Role::Threshold(_) | Role::Switch
         )
     }
 }

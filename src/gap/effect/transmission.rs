@@ -15,9 +15,10 @@ impl Effect for Backlash {
             law: "play p between motor and joint",
             shows: Shows::Reading,
             signature: "p/2 sgn(u): the encoder jumps where the torque reverses, and no torque passes meanwhile",
-            parameters: &[Parameter::amplitude(
+            parameters: &[Parameter::bent(
                 "play",
                 Dimension::Travel,
+                &[8e-4, 2.5e-3, 8e-3],
                 [5e-4, 0.02],
             )],
             neighbours: &[
@@ -43,6 +44,11 @@ impl Effect for Backlash {
         joint_motors(model)
     }
 
+    /// A motor on its own follows commands within a millisecond.
+    fn is_quick(&self) -> bool {
+        true
+    }
+
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
         Ok(Expression::supplement("backlash", &site.place.name, values))
     }
@@ -60,7 +66,12 @@ impl Effect for Compliance {
             shows: Shows::Reading,
             signature: "c u: the encoder runs ahead of the joint in proportion to the torque",
             parameters: &[
-                Parameter::amplitude("compliance", Dimension::TravelPerForce, [1e-4, 0.05]),
+                Parameter::bent(
+                    "compliance",
+                    Dimension::TravelPerForce,
+                    &[6e-4, 2e-3, 5e-3, 1.5e-2],
+                    [1e-4, 0.05],
+                ),
                 Parameter::choice("damping_ratio", Dimension::Share, &[0.3], [0.05, 0.95]),
             ],
             neighbours: &[
@@ -84,6 +95,11 @@ impl Effect for Compliance {
 
     fn places(&self, model: &Model) -> Vec<Place> {
         joint_motors(model)
+    }
+
+    /// A motor on its own follows commands within a millisecond.
+    fn is_quick(&self) -> bool {
+        true
     }
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
