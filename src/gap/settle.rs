@@ -14,6 +14,7 @@
 use super::fit::Followed;
 use super::linear::{Linear, Row, damped};
 use super::windows::Windows;
+use crate::sysid::shooting::window::State;
 
 /// Part of the mean cost of a window that its state may still take off it.
 const SETTLED: f64 = 0.05;
@@ -48,8 +49,11 @@ impl Windows {
         let mut held = self.clone();
         held.problem = self.held(&self.problem, x);
         // steps for another model may have led a window astray
-        for measured in &self.measured {
-            let Ok(found) = held.simulate_some(&[], measured, &left) else {
+        let ends =
+            (0..here.len()).map(|w| self.preceding(w).map_or(&here[w].state, |p| &here[p].end));
+        let ends: Vec<State> = ends.cloned().collect();
+        for begin in self.measured.iter().chain([&ends]) {
+            let Ok(found) = held.simulate_some(&[], begin, &left) else {
                 continue;
             };
             for (&w, found) in left.iter().zip(found) {
@@ -113,5 +117,27 @@ impl Windows {
                 break;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gap::masses::{machine, searching};
+
+    /// A window that begins so fast that its mass ends at a stop, however fast exactly.
+    #[test]
+    fn a_lost_window_begins_where_the_one_before_ends() {
+        const WINDOW: usize = 3;
+        let base = machine(r#"damping=".2" limited="true" range="-3 3""#, "");
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&base, &base, config, |search, _| {
+            let (x, mut windows) = (search.x.clone(), search.windows.clone());
+            let [first, calm] = &mut windows.measured;
+            for states in [&mut windows.states, first, calm] {
+                states[WINDOW].qvel[0] = 3e3;
+            }
+            let fit = windows.fit(&x, 3, &mut |_| true).expect("fitted");
+            assert!(fit.cost < 1.1 * search.cost, "{} {}", fit.cost, search.cost);
+        });
     }
 }

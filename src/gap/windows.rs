@@ -196,6 +196,15 @@ impl Windows {
         self.problem.trials.len()
     }
 
+    /// The window that ends where window `w` begins, if there is one.
+    pub(super) fn preceding(&self, w: usize) -> Option<usize> {
+        let before = w.checked_sub(1)?;
+        let ((own, begin_s), (recording, from_s)) = (self.origin[w], self.origin[before]);
+        let h = self.problem.model.timestep();
+        let end_s = from_s + (self.problem.trials[before].n_knots - 1) as f64 * h;
+        (own == recording && (begin_s - end_s).abs() < 0.5 * h).then_some(before)
+    }
+
     pub(super) fn windows(&self) -> Vec<Window> {
         let window = |(trial, t): (usize, &Trial)| Window {
             trial,
@@ -299,7 +308,20 @@ pub(super) fn is_velocity(model: &Model, source: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::masses::machine;
+    use crate::gap::masses::{machine, searching};
+
+    #[test]
+    fn windows_follow_one_another_unless_one_is_left_out() {
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&machine("", ""), &machine("", ""), config, |search, _| {
+            let all = &search.windows;
+            let before = |windows: &Windows| -> Vec<Option<usize>> {
+                (0..3).map(|w| windows.preceding(w)).collect()
+            };
+            assert_eq!(before(all), [None, Some(0), Some(1)]);
+            assert_eq!(before(&all.only(&[0, 2, 3])), [None, None, Some(1)]);
+        });
+    }
 
     /// A mass that moves on at 0.3 m/s and 2 m/s², read a tenth of a millimetre off in its second step.
     #[test]
