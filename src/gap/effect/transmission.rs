@@ -69,7 +69,7 @@ impl Effect for Compliance {
                 Parameter::bent(
                     "compliance",
                     Dimension::TravelPerForce,
-                    &[6e-4, 2e-3, 5e-3, 1.5e-2],
+                    &[1e-3, 4e-3, 1.5e-2, 6e-2],
                     [1e-4, 0.05],
                 ),
                 Parameter::choice("damping_ratio", Dimension::Share, &[0.3], [0.05, 0.95]),
