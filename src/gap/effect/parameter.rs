@@ -262,7 +262,12 @@ impl Parameter {
         if self.is_whole() {
             return (ALL_OR_NOTHING[0]..=ALL_OR_NOTHING[1]).contains(&expected);
         }
-        let positive = self.sign == Sign::Either || expected > 0.0;
+        // steps of the model are a little like a drive that gives way
+        let least = match self.role {
+            Role::Bent(_) => self.low * self.scale(scales),
+            _ => 0.0,
+        };
+        let positive = self.sign == Sign::Either || expected > least;
         positive && expected.abs() <= self.sensible(scales)[1]
     }
 
@@ -366,6 +371,28 @@ mod tests {
     use super::*;
 
     /// A column of a threshold five times over is of another threshold.
+    /// Of an arm of six joints, steps of the model were called a compliance of 1.4e-5 rad/(N m) at the fifth.
+    #[test]
+    fn less_than_a_drive_could_give_way_makes_no_sense() {
+        let scales = Scales {
+            force: 3.0,
+            speed: 1.0,
+            travel: 1.0,
+            acceleration: 6.0,
+            length: 0.1,
+            mass: 1.0,
+            slide: false,
+        };
+        let give = Parameter::bent(
+            "compliance",
+            Dimension::TravelPerForce,
+            &[1e-3],
+            [1e-4, 0.05],
+        );
+        assert!(give.makes_sense(1e-4, &scales) && !give.makes_sense(1.4e-5, &scales));
+        assert!(!give.makes_sense(-1e-3, &scales));
+    }
+
     #[test]
     fn a_whole_is_there_about_once() {
         let scales = Scales {
