@@ -249,7 +249,7 @@ impl Chosen {
         each.any(|(p, value)| {
             let [least, most] = p.sensible(scales);
             match p.role {
-                Role::Amplitude => value.abs() >= (1.0 - AT_BOUND) * most,
+                Role::Amplitude | Role::Bent(_) => value.abs() >= (1.0 - AT_BOUND) * most,
                 Role::Shape(_) => least > 0.0 && *value <= (1.0 + AT_BOUND) * least,
                 _ => false,
             }
@@ -321,4 +321,26 @@ pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant
             }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::masses::{chosen, machine};
+
+    /// A compliance had no bound once it was tried in several sizes.
+    #[test]
+    fn a_size_at_its_bound_is_absurd_however_it_acts() {
+        let base = machine(r#"armature=".01""#, "");
+        for (name, place, rest) in [
+            ("transmission_compliance", "ma", &[0.3][..]),
+            ("quadratic_drag", "a", &[]),
+        ] {
+            let with = |size: f64| chosen(&base, name, place, &[&[size], rest].concat());
+            let own = with(0.0);
+            let scales = Scales::of(&base.model, &own.place);
+            let most = own.effect.about().parameters[0].sensible(&scales)[1];
+            assert!(with(most).absurd(&scales) && !with(0.5 * most).absurd(&scales));
+        }
+    }
 }
