@@ -56,8 +56,8 @@ fn record_hammered(machine: &ModelFile, hammer: f64) -> Recording {
             (7.0 * t).sin() + (11.0 * t).cos() + turning,
             (9.0 * t).cos() + (4.0 * t).sin(),
         ];
-        let mut row: Vec<f64> = ([0, 1].iter())
-            .map(|joint| data.encoder(*joint)[0] + NOISE_M * rng::normal(&mut rng))
+        let mut row: Vec<f64> = (0..2)
+            .map(|joint| data.encoder(joint)[0] + NOISE_M * rng::normal(&mut rng))
             .collect();
         row.extend(push);
         stream.push(k * 2_000_000, &row);

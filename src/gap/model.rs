@@ -239,7 +239,7 @@ impl Chosen {
     pub(super) fn counts(&self, scales: &Scales) -> bool {
         let parameters = self.effect.about().parameters.iter();
         let mut sizes = parameters.zip(&self.values).filter(|(p, _)| p.is_size());
-        sizes.any(|(p, value)| p.is_whole() || value.abs() >= p.low * p.scale(scales))
+        sizes.any(|(p, value)| p.counts(*value, scales))
     }
 
     /// Whether a size or a positive shape of it went as far as it could: then it stands for something else.
@@ -257,8 +257,7 @@ impl Chosen {
     }
 }
 
-/// Values to look at an effect with: one set for each of its sizes, by grid value. Sizes are `size` times the typical
-/// one; all others of the set are 0.
+/// Values to look at an effect with: one set for each of its sizes, by grid value. All other sizes of the set are 0.
 #[derive(Debug, Clone)]
 pub(super) struct Variant {
     /// (size, values): columns of the candidate
@@ -283,8 +282,15 @@ impl Variant {
 /// All variants of an effect: every shape at its first value, and each at its others with the rest at their first.
 pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant> {
     let grids: Vec<Vec<f64>> = parameters.iter().map(|p| p.grid(scales)).collect();
-    let first = |grid: &Vec<f64>| grid.first().copied().unwrap_or(0.0);
-    let first: Vec<f64> = grids.iter().map(first).collect();
+    let first = parameters
+        .iter()
+        .zip(&grids)
+        .map(|(p, grid)| match grid.first() {
+            Some(first) => *first,
+            None if p.is_size() => p.typical(scales),
+            None => 0.0,
+        });
+    let first: Vec<f64> = first.collect();
     let mut sets = vec![first.clone()];
     for (i, grid) in grids.iter().enumerate() {
         for other in grid.iter().skip(1) {
@@ -300,13 +306,9 @@ pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant
         .map(|set| {
             let columns = sizes.iter().map(|&i| {
                 let mut values = set.clone();
-                for &j in &sizes {
+                for &j in sizes.iter().filter(|j| **j != i) {
                     values[j] = 0.0;
                 }
-                values[i] = match parameters[i].role {
-                    Role::Threshold(_) | Role::Bent(_) => set[i],
-                    _ => parameters[i].typical(scales),
-                };
                 // all or nothing: the column is the whole effect
                 let size = if parameters[i].is_whole() {
                     1.0

@@ -9,7 +9,8 @@
 //! ds = −(RᵀR + λ D)⁻¹ Rᵀ Qᵀ r        until ½ |Qᵀ r|² is a small part of the mean window's cost
 //! ```
 //!
-//! with Q, R of [`super::linear`], at the window's own point, or from one of those that were measured if that is nearer.
+//! with Q, R of [`super::linear`], at the window's own point, or from one of those that were measured, or where the window
+//! before it ends, if that is nearer.
 
 use super::fit::Followed;
 use super::linear::{Linear, Row, damped};

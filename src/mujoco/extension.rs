@@ -216,9 +216,11 @@ impl Data {
     /// Tells extensions the commands (nu) that hold in the step to come, where ctrl has those of a time that suits the engine;
     /// none: those of ctrl. What moves by itself within a step follows them.
     pub fn hold(&mut self, commands: Option<&[f64]>) {
-        let late =
-            (commands.unwrap_or_default().iter().zip(self.ctrl())).map(|(held, own)| held - own);
-        self.late = late.collect();
+        let mut late = std::mem::take(&mut self.late);
+        late.clear();
+        let each = commands.unwrap_or_default().iter().zip(self.ctrl());
+        late.extend(each.map(|(held, own)| held - own));
+        self.late = late;
     }
 
     /// What the command of an actuator that holds in the step to come is more than its ctrl.
@@ -285,6 +287,7 @@ impl Data {
     }
 
     pub(super) fn forget(&mut self) {
+        self.late.clear();
         if let Some(x) = &mut self.extended {
             x.clear();
         }

@@ -335,11 +335,16 @@ impl Problem {
         self.means(trial, x, (first, n), early)
     }
 
-    /// What motors themselves get: means of the command over the step that begins at each knot of a trial (`n_knots` × nu). None
-    /// where those are the controls.
-    pub(crate) fn held_controls(&self, trial: &Trial, x: &[f64]) -> Option<Vec<f64>> {
+    /// What motors themselves get: means of the command over the step that begins at each of `n` knots from `first` (n × nu).
+    /// None where those are the controls.
+    pub(crate) fn held_controls(
+        &self,
+        trial: &Trial,
+        x: &[f64],
+        (first, n): (isize, usize),
+    ) -> Option<Vec<f64>> {
         let held = self.command == CommandTiming::Held;
-        (!held).then(|| self.means(trial, x, (0, trial.n_knots), 0.0))
+        (!held).then(|| self.means(trial, x, (first, n), 0.0))
     }
 
     /// Means of the commands over a step from `early` s before each of `n` knots from `first` (n × nu).

@@ -263,12 +263,14 @@ impl Parameter {
             return (ALL_OR_NOTHING[0]..=ALL_OR_NOTHING[1]).contains(&expected);
         }
         // steps of the model are a little like a drive that gives way
-        let least = match self.role {
-            Role::Bent(_) => self.low * self.scale(scales),
-            _ => 0.0,
-        };
-        let positive = self.sign == Sign::Either || expected > least;
-        positive && expected.abs() <= self.sensible(scales)[1]
+        let counts = !matches!(self.role, Role::Bent(_)) || self.counts(expected, scales);
+        let positive = self.sign == Sign::Either || expected > 0.0;
+        positive && counts && expected.abs() <= self.sensible(scales)[1]
+    }
+
+    /// Whether a size is one that could be seen at all, by its range.
+    pub(in crate::gap) fn counts(&self, value: f64, scales: &Scales) -> bool {
+        self.is_whole() || value.abs() >= self.low * self.scale(scales)
     }
 
     /// Whether the effect is absent where it and its like are 0.
@@ -370,7 +372,6 @@ fn capacity(model: &Model, joint: usize) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// A column of a threshold five times over is of another threshold.
     /// Of an arm of six joints, steps of the model were called a compliance of 1.4e-5 rad/(N m) at the fifth.
     #[test]
     fn less_than_a_drive_could_give_way_makes_no_sense() {
@@ -393,6 +394,7 @@ mod tests {
         assert!(!give.makes_sense(-1e-3, &scales));
     }
 
+    /// A column of a threshold five times over is of another threshold.
     #[test]
     fn a_whole_is_there_about_once() {
         let scales = Scales {

@@ -134,17 +134,18 @@ impl<'a> Simulator<'a> {
         data.clear_warnings();
         data.qpos_mut().copy_from_slice(&state.qpos);
         data.qvel_mut().copy_from_slice(&state.qvel);
+        let trial = &problem.trials[window.trial];
         if !data.memory().is_empty() {
             let first = window.first as isize - past_len(&problem.model) as isize;
-            let trial = &problem.trials[window.trial];
             let n = past_len(&problem.model) + beyond(&problem.model);
             let commands = problem.controls_from(trial, x, first, n);
             let begin_s = window.first as f64 * problem.model.timestep();
             let path = trial.path.as_ref().map(|p| (p, begin_s));
             past(data, state, &commands, path)?;
         }
-        let trial = &problem.trials[window.trial];
-        let held = (is_loaded(&problem.model).then(|| problem.held_controls(trial, x))).flatten();
+        let knots = (window.first as isize, window.len());
+        let held = is_loaded(&problem.model).then(|| problem.held_controls(trial, x, knots));
+        let held = held.flatten();
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
             data.ctrl_mut()
                 .copy_from_slice(&controls[k * nu..(k + 1) * nu]);
@@ -153,7 +154,8 @@ impl<'a> Simulator<'a> {
                 end.qpos.copy_from_slice(data.qpos());
                 end.qvel.copy_from_slice(data.qvel());
             }
-            data.hold(held.as_ref().map(|held| &held[k * nu..(k + 1) * nu]));
+            let from = (k - window.first) * nu;
+            data.hold(held.as_ref().map(|held| &held[from..from + nu]));
             push(k - window.first, data);
             self::read(problem, &problem.model, data, row, false);
             // the step leaves the sensors of its beginning
