@@ -6,14 +6,16 @@
 //! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
 //! - significance ([`super::evidence`]), in which held-out recordings have a say ([`super::held_out`]);
 //! - size; a small one, and one of which fitted parameters explain nearly all, is kept where it is most of what is left, or
-//!   of what noise does not explain of that. What no fitted parameter could have explained of it is a thousandth of the
-//!   motors' at least: less is the work of steps, of how friction is rounded off and of whatever else no model has exactly.
+//!   of what noise does not explain of that, and the fall is owed to it ([`super::owed`]). What no fitted parameter could have
+//!   explained of it is a thousandth of the motors' at least: less is the work of steps, of how friction is rounded off and
+//!   of whatever else no model has exactly.
 
 use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
 use super::held_out::{Held, both, falls, unexplained};
 use super::name::APART;
+use super::owed::Owed;
 use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{FEW_ITERATIONS, Fitted, Search};
@@ -42,6 +44,17 @@ const MOST: f64 = 0.5;
 const OWN: f64 = 0.1;
 /// Chance in the recordings that are fitted, times the number of candidates, above which held-out ones do not count.
 const LIKELY_STILL: f64 = 0.05;
+/// Times that the present model is fitted better, instead of with an effect more.
+const REFITTED: usize = 3;
+
+/// What a step forward came to.
+enum Forward {
+    /// one effect more
+    Kept,
+    /// the present model, fitted better
+    Refitted,
+    Nothing,
+}
 
 impl Search<'_> {
     /// Candidates that are worth a place in the model by the screen alone, best first.
@@ -83,18 +96,40 @@ impl Search<'_> {
         unexplained(screen.normal.cost(), noise)
     }
 
-    /// Fits the candidates that promise most, and keeps the best that stands. `false`: none does.
+    /// Steps forward from the present model, of which `screen` is, if there is one; what comes back is the screen of the model
+    /// if nothing was found.
     ///
     /// # Errors
-    /// The engine refuses a number.
+    /// The engine refuses a number; [`GapError::Stopped`].
     pub(super) fn forward(
+        &mut self,
+        mut screen: Option<Screen>,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Screen>, GapError> {
+        let mut refitted = 0;
+        loop {
+            let present = match screen.take() {
+                Some(present) => present,
+                None => self.screen(watch)?.ok_or(GapError::Stopped)?,
+            };
+            match self.forward_once(&present, watch)? {
+                Forward::Kept => return Ok(None),
+                Forward::Refitted if refitted < REFITTED => refitted += 1,
+                Forward::Refitted => return self.screen(watch)?.ok_or(GapError::Stopped).map(Some),
+                Forward::Nothing => return Ok(Some(present)),
+            }
+        }
+    }
+
+    /// Fits the candidates that promise most, and keeps the best that stands.
+    fn forward_once(
         &mut self,
         screen: &Screen,
         watch: &mut Watch<'_>,
-    ) -> Result<bool, GapError> {
+    ) -> Result<Forward, GapError> {
         let rivals = self.rivals(screen);
         if rivals.is_empty() {
-            return Ok(false);
+            return Ok(Forward::Nothing);
         }
         watch.stage(Stage::Refit);
         let unexplained = self.unexplained(screen);
@@ -111,7 +146,7 @@ impl Search<'_> {
         }
         fitted.retain(|f| fall(&f.0) >= least);
         if fitted.is_empty() {
-            return Ok(false);
+            return Ok(Forward::Nothing);
         }
         let fits: Vec<&Fitted> = fitted.iter().map(|f| &f.0).collect();
         let (costs, which) = alike::costs(&fits)?;
@@ -166,13 +201,23 @@ impl Search<'_> {
             let visible = of.candidate.score.as_ref().map_or(0.0, |s| s.visible);
             let large = self.limits.large(evidence.size) && visible >= HARDLY_VISIBLE;
             if self.limits.significant(evidence.p_value) && (large || much) {
+                if !large {
+                    let foretold = of.candidate.score.as_ref().map_or(0.0, |s| s.gain);
+                    match self.owed((own, held.as_ref()), (foretold, unexplained), watch)? {
+                        Owed::Effect(part) => evidence.gain = part,
+                        Owed::Fit(better) => {
+                            *self = self.settled_with(*better, watch)?;
+                            return Ok(Forward::Refitted);
+                        }
+                    }
+                }
                 evidence.alike = alike::rivals(&tried, i, (then.cost, &self.stretch_of))?;
                 then.evidence.push(evidence);
                 *self = then;
-                return Ok(true);
+                return Ok(Forward::Kept);
             }
         }
-        Ok(false)
+        Ok(Forward::Nothing)
     }
 
     /// What costs are divided by so that they are in units of what the best of all leaves: in those of what was left before,
@@ -234,7 +279,7 @@ impl Search<'_> {
 
 /// Whether a fall of the cost is much of it, or most of what noise does not explain of it, and held-out recordings agree: costs
 /// of these fall, `falls` says, by more than what is given to it.
-fn is_much(
+pub(super) fn is_much(
     (fall, cost, unexplained): (f64, f64, f64),
     falls: impl Fn(fn(&Held) -> f64) -> bool,
 ) -> bool {

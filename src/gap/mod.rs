@@ -40,6 +40,7 @@ mod model;
 mod name;
 mod nudged;
 mod null;
+mod owed;
 mod predict;
 mod pulse;
 mod repair;

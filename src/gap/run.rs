@@ -251,16 +251,11 @@ pub(super) fn at_length(
         let more = if let Some(more) = known {
             more
         } else {
-            let present = match screen.take() {
-                Some(present) => present,
-                None => screened(search.screen(watch)?)?,
-            };
-            let more = search.forward(&present, watch)?;
+            screen = search.forward(screen.take(), watch)?;
+            let more = screen.is_none();
             if more {
                 search.delete(watch)?;
                 screen = search.elsewhere(watch)?;
-            } else {
-                screen = Some(present);
             }
             watch.go_on()?;
             stages::save(keeper, &name, &Step::of(&search, !more));
