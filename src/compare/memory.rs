@@ -1,10 +1,53 @@
 //! Recordings of machines whose model has a [`crate::supplement`]: what the model remembers at each sample, and where
 //! joints are whose encoders show something else.
+//!
+//! Springs and play between motors and joints are followed by their own law, under the commands, where motion is as recorded.
+//! Where it is filtered the law would swing to commands that the motion has nothing of any more; there the encoders, which
+//! sit on the motors, say how they are loaded, t = τ − J θ'', with commands filtered as the motion is.
 
 use std::sync::Arc;
 
 use super::CompareError;
+use super::butterworth::{Beyond, low_pass};
+use super::samples::median_interval;
 use crate::mujoco::{Data, Model, MujocoError};
+
+/// States at times.
+pub(super) struct Motion<'a> {
+    /// (n) s
+    pub time_s: &'a [f64],
+    /// (n × nq)
+    pub qpos: &'a [f64],
+    /// (n × nv)
+    pub qvel: &'a [f64],
+    /// (n × nv)
+    pub qacc: &'a [f64],
+}
+
+/// What loads springs and play between motors and joints, at each sample.
+pub(super) struct Drives {
+    /// (n × nv) of what encoders show
+    qacc: Vec<f64>,
+    /// (n × nu) means around each sample
+    ctrl: Vec<f64>,
+}
+
+impl Drives {
+    /// Loads those of `data` as at sample `k`, from the samples before and after.
+    fn load(&self, data: &mut Data, time_s: &[f64], k: usize) -> Result<(), MujocoError> {
+        let model = Arc::clone(data.model_arc());
+        let (nu, nv) = (model.nu(), model.nv());
+        let (before, after) = (k.saturating_sub(1), (k + 1).min(time_s.len() - 1));
+        let since_s = time_s[after] - time_s[before];
+        for (i, since_s) in [(before, None), (after, Some(since_s))] {
+            data.ctrl_mut()
+                .copy_from_slice(&self.ctrl[i * nu..(i + 1) * nu]);
+            let qacc = &self.qacc[i * nv..(i + 1) * nv];
+            data.load_memory(&|joint| qacc[model.jnt_dofadr()[joint] as usize], since_s)?;
+        }
+        Ok(())
+    }
+}
 
 /// Follows the samples of a recording; does nothing for a model without supplement.
 #[derive(Debug)]
@@ -30,14 +73,47 @@ impl Memory {
         })
     }
 
-    /// What is remembered at each sample (n × memory), of states `qpos` (n × nq) and `qvel` (n × nv). Between samples
-    /// states stay as they are.
+    /// What loads drives in a motion that encoders show, of which what is faster than `cutoff` (times the interval between
+    /// samples) was taken; none without drives that are loaded.
+    pub(super) fn drives(
+        &self,
+        shown: &Motion<'_>,
+        cutoff: f64,
+        controls: Controls<'_>,
+    ) -> Option<Drives> {
+        let model = self.data.model();
+        if !model.extension().is_some_and(|e| e.is_loaded()) {
+            return None;
+        }
+        let interval = median_interval(shown.time_s);
+        // an even number: none falls on a sample, where commands change
+        let parts = 2 * (interval / model.timestep()).round().max(1.0) as usize;
+        let mut ctrl = Vec::with_capacity(shown.time_s.len() * model.nu());
+        let mut now = vec![0.0; model.nu()];
+        for time in shown.time_s {
+            let mut mean = vec![0.0; model.nu()];
+            for part in 0..parts {
+                let off = (part as f64 + 0.5) / parts as f64 - 0.5;
+                controls(time + off * interval, &mut now);
+                for (mean, now) in mean.iter_mut().zip(&now) {
+                    *mean += now / parts as f64;
+                }
+            }
+            ctrl.extend(mean);
+        }
+        low_pass(&mut ctrl, model.nu(), cutoff, Beyond::Reflected);
+        Some(Drives {
+            qacc: shown.qacc.to_vec(),
+            ctrl,
+        })
+    }
+
+    /// What is remembered at each sample (n × memory) of a motion. Between samples states stay as they are.
     pub(super) fn follow(
         &mut self,
-        time_s: &[f64],
-        qpos: &[f64],
-        qvel: &[f64],
+        motion: &Motion<'_>,
         controls: Controls<'_>,
+        drives: Option<&Drives>,
     ) -> Result<Vec<f64>, MujocoError> {
         let mut rows = Vec::new();
         if !self.active {
@@ -51,9 +127,22 @@ impl Memory {
         );
         data.reset();
         let mut steps = 0_usize;
+        let time_s = motion.time_s;
         for (k, time) in time_s.iter().enumerate() {
-            data.qpos_mut().copy_from_slice(&qpos[k * nq..(k + 1) * nq]);
-            data.qvel_mut().copy_from_slice(&qvel[k * nv..(k + 1) * nv]);
+            let qvel = &motion.qvel[k * nv..(k + 1) * nv];
+            data.qpos_mut()
+                .copy_from_slice(&motion.qpos[k * nq..(k + 1) * nq]);
+            if let Some(drives) = drives {
+                // a law of drives remembers how fast the joint was one step ago
+                let qacc = &motion.qacc[k * nv..(k + 1) * nv];
+                let before = qvel.iter().zip(qacc).map(|(v, a)| v - h * a);
+                data.qvel_mut()
+                    .iter_mut()
+                    .zip(before)
+                    .for_each(|(own, v)| *own = v);
+                drives.load(data, time_s, k)?;
+            }
+            data.qvel_mut().copy_from_slice(qvel);
             rows.extend_from_slice(data.memory());
             let next = time_s.get(k + 1).unwrap_or(time) - time_s[0];
             while (steps as f64 + 0.5) * h <= next {

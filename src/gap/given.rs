@@ -70,7 +70,7 @@ fn in_windows(
     let after = repair::machine(&search.windows.problem, &search.x)?;
     let sigma = |_: &str| None;
     let (holdout, seed) = (input.holdout, options.seed);
-    let protocol = verify::protocol(input, &whole, search.windows.length_s);
+    let protocol = verify::protocol(input, &whole, search.windows.length_s, &after.model);
     let gap = verify::verify(&before, &after, holdout, &protocol, &sigma, seed)?;
     Ok(Some(Oracle {
         gap,

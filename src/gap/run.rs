@@ -315,7 +315,7 @@ pub(super) fn at_length(
         &before,
         &after,
         input.holdout,
-        &verify::protocol(input, &whole, search.windows.length_s),
+        &verify::protocol(input, &whole, search.windows.length_s, &after.model),
         &|channel| verify::noise(&whole, channel),
         options.seed,
     )?;

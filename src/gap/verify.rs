@@ -26,6 +26,8 @@ const WORSE: f64 = 1.05;
 const NEGLIGIBLE: f64 = 0.02;
 /// Part of the shortest recording that is left out at most at each end, where filtered states are not to be trusted.
 const ENDS: f64 = 0.1;
+/// Above it drives swing and joints do not, Hz.
+const DRIVE_HZ: f64 = 100.0;
 /// Draws of noise for the floor.
 const DRAWS: u64 = 2;
 
@@ -43,14 +45,23 @@ pub(super) fn noise(whole: &Problem, channel: &str) -> Option<f64> {
 }
 
 /// The protocol. Where it says nothing of cutoffs, states are without the noise of the readings ([`cutoff_hz`]), and forces
-/// are compared as far as windows of `window_s` resolve them: beyond that they are noise of differences.
-pub(super) fn protocol(input: &Input<'_>, whole: &Problem, window_s: f64) -> Settings {
+/// are compared as far as windows of `window_s` resolve them: beyond that they are noise of differences. Encoders that sit on
+/// the motors of a `repaired` model swing as fast as commands turn; its joints do not.
+pub(super) fn protocol(
+    input: &Input<'_>,
+    whole: &Problem,
+    window_s: f64,
+    repaired: &Model,
+) -> Settings {
     let settings = input.protocol.clone();
     if settings.cutoff_hz.or(settings.force_cutoff_hz).is_some() {
         return settings;
     }
     let recordings = || input.holdout.iter().map(|(_, r)| r);
-    let cutoff_hz = cutoff_hz(recordings(), &|channel| noise(whole, channel));
+    let is_loaded = |model: &Model| model.extension().is_some_and(|e| e.is_loaded());
+    let drives = is_loaded(repaired) || is_loaded(&input.model.model);
+    let cutoff_hz =
+        cutoff_hz(recordings(), &|channel| noise(whole, channel)).or(drives.then_some(DRIVE_HZ));
     let streams = recordings()
         .flat_map(|r| &r.streams)
         .filter(|s| !s.is_empty());

@@ -1,5 +1,9 @@
 //! Play and stretch between motor and joint.
 
+use phantom::compare::{Settings, States};
+use phantom::recording::{Channel, Kind, Meta, Recording, Stream};
+use phantom::rng::{self, Purpose};
+
 use crate::machine::{ARMATURE, INERTIA, STEP, numeric, rotor, run, torque};
 
 const N: usize = 1200;
@@ -206,4 +210,64 @@ fn a_motor_follows_the_command_that_holds() {
     assert!((momentum - 0.5 * STEP).abs() < 1e-9, "{momentum}");
     // beyond the range of the actuator there is no more
     assert_eq!(moved(0.5, Some([2.0])), moved(0.5, Some([7.0])));
+}
+
+/// A motor that is hammered, read with noise: where the joint is, how fast, and how the spring is loaded, without what is
+/// faster than joints.
+#[test]
+fn a_joint_is_found_behind_a_hammered_motor() {
+    const NOISE: f64 = 1e-4;
+    let spring = numeric("transmission_compliance", "m", "0.005 0.1");
+    let mut machine = rotor(&spring, "");
+    let channel = |name: &str, kind, unit: &str| Channel {
+        name: name.into(),
+        kind,
+        unit: unit.into(),
+        noise_sigma: None,
+    };
+    let channels = vec![
+        channel("q", Kind::Sensor, "rad"),
+        channel("m", Kind::Control, "N m"),
+    ];
+    let mut stream = Stream::new("all", Some(STEP.recip()), channels);
+    let (mut q, mut v) = (Vec::new(), Vec::new());
+    let mut rng = rng::stream(3, Purpose::SensorNoise, 0, 0);
+    for k in 0..N {
+        // as by a controller that takes noise for motion
+        let noise = NOISE * rng::normal(&mut rng);
+        let ctrl = torque(k) - 5e3 * noise;
+        let reading = machine.encoder(0)[0] + noise;
+        q.push(machine.qpos()[0]);
+        v.push(machine.qvel()[0]);
+        stream.push((k as f64 * STEP * 1e9).round() as i64, &[reading, ctrl]);
+        machine.ctrl_mut()[0] = ctrl;
+        machine.step().expect("a step");
+    }
+    let recording = Recording {
+        meta: Meta::default(),
+        streams: vec![stream],
+    };
+    let settings = Settings {
+        cutoff_hz: Some(100.0),
+        ..Settings::default()
+    };
+    let found = |custom: &str| {
+        let machine = rotor(custom, "");
+        States::new(&recording, machine.model(), &settings).expect("states")
+    };
+    let off = |found: &States| {
+        let inner = 200..N - 200;
+        let rms = |each: &dyn Fn(usize) -> f64| {
+            let sum: f64 = inner.clone().map(|k| each(k).powi(2)).sum();
+            (sum / inner.len() as f64).sqrt()
+        };
+        [
+            rms(&|k| found.qpos[k] - q[k]),
+            // the velocity of a step is that of its middle
+            rms(&|k| found.qvel[k] - 0.5 * (v[k] + v[k + 1])),
+        ]
+    };
+    let ([q_behind, v_behind], [q_seen, v_seen]) = (off(&found(&spring)), off(&found("")));
+    assert!(q_behind < 0.15 * q_seen, "{q_behind} {q_seen}");
+    assert!(v_behind < 0.15 * v_seen, "{v_behind} {v_seen}");
 }

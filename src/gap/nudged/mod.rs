@@ -207,7 +207,7 @@ pub(super) fn resume(
         &Settings {
             // of touching bodies inverse dynamics makes newtons of micrometres
             forces: false,
-            ..verify::protocol(input, &problems.train, length_s)
+            ..verify::protocol(input, &problems.train, length_s, &after_machine.model)
         },
         &|channel| verify::noise(&problems.train, channel),
         options.seed,
