@@ -9,25 +9,13 @@ use std::sync::Arc;
 
 use super::CompareError;
 use super::butterworth::{Beyond, low_pass};
-use super::samples::median_interval;
+use super::differences::accelerations;
 use crate::mujoco::{Data, Model, MujocoError};
-
-/// States at times.
-pub(super) struct Motion<'a> {
-    /// (n) s
-    pub time_s: &'a [f64],
-    /// (n × nq)
-    pub qpos: &'a [f64],
-    /// (n × nv)
-    pub qvel: &'a [f64],
-    /// (n × nv)
-    pub qacc: &'a [f64],
-}
 
 /// What loads springs and play between motors and joints, at each sample.
 pub(super) struct Drives {
     /// (n × nv) of what encoders show
-    qacc: Vec<f64>,
+    pub qacc: Vec<f64>,
     /// (n × nu) means around each sample
     ctrl: Vec<f64>,
 }
@@ -73,24 +61,24 @@ impl Memory {
         })
     }
 
-    /// What loads drives in a motion that encoders show, of which what is faster than `cutoff` (times the interval between
-    /// samples) was taken; none without drives that are loaded.
+    /// What loads drives while encoders move by `shown` (n × nv), of which what is faster than `cutoff` (times the interval
+    /// between samples) was taken; none without drives that are loaded.
     pub(super) fn drives(
         &self,
-        shown: &Motion<'_>,
+        (time_s, interval): (&[f64], f64),
+        shown: &[f64],
         cutoff: f64,
         controls: Controls<'_>,
     ) -> Option<Drives> {
         let model = self.data.model();
-        if !model.extension().is_some_and(|e| e.is_loaded()) {
+        if !model.has_loaded_drives() {
             return None;
         }
-        let interval = median_interval(shown.time_s);
         // an even number: none falls on a sample, where commands change
         let parts = 2 * (interval / model.timestep()).round().max(1.0) as usize;
-        let mut ctrl = Vec::with_capacity(shown.time_s.len() * model.nu());
+        let mut ctrl = Vec::with_capacity(time_s.len() * model.nu());
         let mut now = vec![0.0; model.nu()];
-        for time in shown.time_s {
+        for time in time_s {
             let mut mean = vec![0.0; model.nu()];
             for part in 0..parts {
                 let off = (part as f64 + 0.5) / parts as f64 - 0.5;
@@ -103,17 +91,19 @@ impl Memory {
         }
         low_pass(&mut ctrl, model.nu(), cutoff, Beyond::Reflected);
         Some(Drives {
-            qacc: shown.qacc.to_vec(),
+            qacc: accelerations(model.nv(), time_s, shown, false),
             ctrl,
         })
     }
 
-    /// What is remembered at each sample (n × memory) of a motion. Between samples states stay as they are.
+    /// What is remembered at each sample (n × memory), of states `qpos` (n × nq) and `qvel` (n × nv). Between samples
+    /// states stay as they are. Drives are loaded by those of `loaded`, beside which are accelerations (n × nv) of the states.
     pub(super) fn follow(
         &mut self,
-        motion: &Motion<'_>,
+        time_s: &[f64],
+        (qpos, qvel): (&[f64], &[f64]),
         controls: Controls<'_>,
-        drives: Option<&Drives>,
+        loaded: Option<(&Drives, &[f64])>,
     ) -> Result<Vec<f64>, MujocoError> {
         let mut rows = Vec::new();
         if !self.active {
@@ -127,22 +117,18 @@ impl Memory {
         );
         data.reset();
         let mut steps = 0_usize;
-        let time_s = motion.time_s;
         for (k, time) in time_s.iter().enumerate() {
-            let qvel = &motion.qvel[k * nv..(k + 1) * nv];
-            data.qpos_mut()
-                .copy_from_slice(&motion.qpos[k * nq..(k + 1) * nq]);
-            if let Some(drives) = drives {
+            let dofs = k * nv..(k + 1) * nv;
+            data.qpos_mut().copy_from_slice(&qpos[k * nq..(k + 1) * nq]);
+            if let Some((drives, qacc)) = loaded {
                 // a law of drives remembers how fast the joint was one step ago
-                let qacc = &motion.qacc[k * nv..(k + 1) * nv];
-                let before = qvel.iter().zip(qacc).map(|(v, a)| v - h * a);
-                data.qvel_mut()
-                    .iter_mut()
-                    .zip(before)
-                    .for_each(|(own, v)| *own = v);
+                let now = qvel[dofs.clone()].iter().zip(&qacc[dofs.clone()]);
+                for (own, (v, a)) in data.qvel_mut().iter_mut().zip(now) {
+                    *own = v - h * a;
+                }
                 drives.load(data, time_s, k)?;
             }
-            data.qvel_mut().copy_from_slice(qvel);
+            data.qvel_mut().copy_from_slice(&qvel[dofs]);
             rows.extend_from_slice(data.memory());
             let next = time_s.get(k + 1).unwrap_or(time) - time_s[0];
             while (steps as f64 + 0.5) * h <= next {

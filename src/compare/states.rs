@@ -11,7 +11,7 @@ use crate::recording::{Bound, BoundChannel, Recording};
 use super::butterworth::{Beyond, low_pass};
 use super::closure::Closure;
 use super::differences::{accelerations, align, differences, free_quaternions, normalise};
-use super::memory::{Memory, Motion};
+use super::memory::Memory;
 use super::samples::{Samples, median_interval};
 use super::settings::Derivative;
 use super::{CompareError, Settings};
@@ -185,16 +185,11 @@ impl States {
         }
         normalise(&mut qpos, model.nq(), &quaternions);
         let shown = differences(model, &time_s, &qpos)?;
-        let bend = accelerations(model.nv(), &time_s, &shown, false);
-        let encoders = Motion {
-            time_s: &time_s,
-            qpos: &qpos,
-            qvel: &shown,
-            qacc: &bend,
-        };
-        let drives = (settings.cutoff_hz)
-            .and_then(|cutoff| memory.drives(&encoders, cutoff * interval, &held));
-        let rows = memory.follow(&encoders, &held, drives.as_ref())?;
+        let drives = (settings.cutoff_hz).and_then(|cutoff| {
+            memory.drives((&time_s, interval), &shown, cutoff * interval, &held)
+        });
+        let loaded = drives.as_ref().map(|own| (own, &own.qacc[..]));
+        let rows = memory.follow(&time_s, (&qpos, &shown), &held, loaded)?;
         memory.decode(&rows, &mut qpos, &measured_qpos)?;
         for (row, time) in qpos.chunks_exact_mut(model.nq()).zip(&time_s) {
             if unknown.is_empty() {
@@ -250,13 +245,8 @@ impl States {
         };
         let qacc = accelerations(model.nv(), &time_s, &qvel, step_derivative);
 
-        let joints = Motion {
-            time_s: &time_s,
-            qpos: &qpos,
-            qvel: &qvel,
-            qacc: &qacc,
-        };
-        let remembered = memory.follow(&joints, &held, drives.as_ref())?;
+        let loaded = drives.as_ref().map(|own| (own, &qacc[..]));
+        let remembered = memory.follow(&time_s, (&qpos, &qvel), &held, loaded)?;
         let sensors = sources
             .sensors
             .iter()

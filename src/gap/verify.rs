@@ -58,8 +58,7 @@ pub(super) fn protocol(
         return settings;
     }
     let recordings = || input.holdout.iter().map(|(_, r)| r);
-    let is_loaded = |model: &Model| model.extension().is_some_and(|e| e.is_loaded());
-    let drives = is_loaded(repaired) || is_loaded(&input.model.model);
+    let drives = repaired.has_loaded_drives() || input.model.model.has_loaded_drives();
     let cutoff_hz =
         cutoff_hz(recordings(), &|channel| noise(whole, channel)).or(drives.then_some(DRIVE_HZ));
     let streams = recordings()

@@ -187,6 +187,11 @@ impl Model {
         self.extension.as_ref()
     }
 
+    /// Whether springs or play between motors and joints are loaded by what went before, see [`Extension::load`].
+    pub fn has_loaded_drives(&self) -> bool {
+        self.extension().is_some_and(|e| e.is_loaded())
+    }
+
     /// The C structure, for reading.
     pub(super) fn raw(&self) -> &ffi::mjModel {
         // SAFETY: invariant 1: valid, and written only through `&mut self`.

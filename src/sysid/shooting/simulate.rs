@@ -144,7 +144,10 @@ impl<'a> Simulator<'a> {
             past(data, state, &commands, path)?;
         }
         let knots = (window.first as isize, window.len());
-        let held = is_loaded(&problem.model).then(|| problem.held_controls(trial, x, knots));
+        let held = problem
+            .model
+            .has_loaded_drives()
+            .then(|| problem.held_controls(trial, x, knots));
         let held = held.flatten();
         for (k, row) in (window.first..=window.last).zip(sensors.chunks_exact_mut(n_channels)) {
             data.ctrl_mut()
@@ -185,14 +188,9 @@ const HALF_S: f64 = 0.03;
 /// Time between the two loads of transmissions that say how they move, s.
 const APART_S: f64 = 0.015;
 
-/// Whether transmissions of the model are loaded as a motion says.
-fn is_loaded(model: &Model) -> bool {
-    model.extension().is_some_and(|e| e.is_loaded())
-}
-
 /// Steps after a state in which its transmissions' loads show.
 fn beyond(model: &Model) -> usize {
-    if !is_loaded(model) {
+    if !model.has_loaded_drives() {
         return 0;
     }
     ((HALF_S + 0.5 * APART_S) / model.timestep()).ceil() as usize
@@ -236,7 +234,7 @@ fn past(
             data.advance_past()?;
         }
     }
-    if let Some(recorded) = recorded.filter(|_| is_loaded(&model)) {
+    if let Some(recorded) = recorded.filter(|_| model.has_loaded_drives()) {
         load(data, state, commands, recorded)?;
     } else {
         // springs and play of transmissions are where the last command had them
