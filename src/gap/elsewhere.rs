@@ -32,7 +32,7 @@ impl Search<'_> {
         if effect.places(&self.base.model).len() < 2 {
             return Ok(None);
         }
-        let screen = self.screen(watch)?.ok_or(GapError::Stopped)?;
+        let screen = self.screened(watch)?;
         let mut more = self.more(&screen, effect.about().name);
         if more.is_empty() {
             return Ok(Some(screen));

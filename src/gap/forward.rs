@@ -44,7 +44,7 @@ const MOST: f64 = 0.5;
 const OWN: f64 = 0.1;
 /// Chance in the recordings that are fitted, times the number of candidates, above which held-out ones do not count.
 const LIKELY_STILL: f64 = 0.05;
-/// Times that the present model is fitted better, instead of with an effect more.
+/// Times after which a present model that is fitted better, instead of with an effect more, is looked at again.
 const REFITTED: usize = 3;
 
 /// What a step forward came to.
@@ -106,19 +106,18 @@ impl Search<'_> {
         mut screen: Option<Screen>,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Screen>, GapError> {
-        let mut refitted = 0;
-        loop {
+        for _ in 0..=REFITTED {
             let present = match screen.take() {
                 Some(present) => present,
-                None => self.screen(watch)?.ok_or(GapError::Stopped)?,
+                None => self.screened(watch)?,
             };
             match self.forward_once(&present, watch)? {
                 Forward::Kept => return Ok(None),
-                Forward::Refitted if refitted < REFITTED => refitted += 1,
-                Forward::Refitted => return self.screen(watch)?.ok_or(GapError::Stopped).map(Some),
                 Forward::Nothing => return Ok(Some(present)),
+                Forward::Refitted => {}
             }
         }
+        self.screened(watch).map(Some)
     }
 
     /// Fits the candidates that promise most, and keeps the best that stands.

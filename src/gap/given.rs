@@ -99,7 +99,7 @@ fn add(
     if effects.is_empty() {
         return Ok(0);
     }
-    let screen = search.screen(watch)?.ok_or(GapError::Stopped)?;
+    let screen = search.screened(watch)?;
     let is = |c: &&Candidate, (name, place): &(String, String)| {
         c.effect.about().name == name && is_place(&c.place.to_string(), place) && c.score.is_some()
     };

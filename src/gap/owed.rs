@@ -44,8 +44,7 @@ impl Search<'_> {
         if fall <= FORETOLD * foretold {
             return Ok(the_effect);
         }
-        let mut there = self.clone();
-        there.take(own.clone());
+        let there = self.with(own.clone());
         let present = &own.chosen[..self.chosen.len()];
         let Some(mut without) = there.fitted(present, FEW_ITERATIONS, watch)? else {
             return Ok(the_effect);
@@ -71,7 +70,8 @@ mod tests {
     use super::*;
     use crate::gap::masses::{chosen, machine, searching};
 
-    /// What is found of the fall that a spring brings where damping was left off its best; and the cost there and at its best.
+    /// What is found of the fall that a spring brings where damping was left off its best; and the cost there and at its best,
+    /// which is less than half.
     fn owed_beside_damping(stiffness: &str, foretold: f64) -> (Owed, f64, f64) {
         let base = machine(r#"damping=".2""#, "");
         let hidden = machine(&format!(r#"damping=".2" stiffness="{stiffness}""#), "");
@@ -88,6 +88,7 @@ mod tests {
             let fitted = search.fitted(&[spring], 12, watch).expect("fitted");
             let own = fitted.expect("follows");
             let owed = search.owed((&own, None), (foretold, 0.5 * search.cost), watch);
+            assert!(search.cost > 2.0 * best, "{} {best}", search.cost);
             told = Some((owed.expect("fitted"), search.cost, best));
         });
         told.expect("searched")
@@ -95,21 +96,19 @@ mod tests {
 
     #[test]
     fn a_better_fit_is_no_effect() {
-        let (owed, off, best) = owed_beside_damping("0", 1.0);
+        let (owed, _, best) = owed_beside_damping("0", 1.0);
         let Owed::Fit(without) = owed else {
             panic!("a spring that is not there");
         };
-        assert!(off > 2.0 * best, "{off} {best}");
         assert!(without.chosen.is_empty() && without.cost < 1.01 * best);
     }
 
     #[test]
     fn an_effect_has_what_no_fit_brings() {
-        let (owed, off, best) = owed_beside_damping("0.02", 1.0);
+        let (owed, off, _) = owed_beside_damping("0.02", 1.0);
         let Owed::Effect(part) = owed else {
             panic!("a spring that is there");
         };
-        assert!(off > 2.0 * best, "{off} {best}");
         assert!(part > 0.3 && part < 0.6, "{part}");
         // as foretold: nobody asks
         let (owed, ..) = owed_beside_damping("0.02", off);

@@ -216,13 +216,12 @@ pub(super) fn at_length(
     let (whole, mut search) = begin(input, options, keeper, watch)?;
     search.held_out = held_out(input, search.windows.length_s, options.most_windows)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
-    let screened = |screen: Option<Screen>| screen.ok_or(GapError::Stopped);
     let mut screen: Option<Screen> = None;
     let known: Option<Screened> = stages::load(keeper, "screen");
     let first = if let Some(known) = known {
         known
     } else {
-        let found = screened(search.screen(watch)?)?;
+        let found = search.screened(watch)?;
         watch.stage(Stage::Locate);
         let missing = Missing::new(&search.windows, &search.x, &found, &search.stretch_of)?;
         let without = search.windows.without_steps(&search.x, &found.linear)?;
@@ -274,12 +273,12 @@ pub(super) fn at_length(
     watch.note.clear();
     let screen = match screen {
         Some(present) => present,
-        None => screened(search.screen(watch)?)?,
+        None => search.screened(watch)?,
     };
     let without = search.windows.without_steps(&search.x, &screen.linear)?;
     let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
     let again = if search.tell_apart(&screen, by_steps, watch)? {
-        Some(screened(search.screen(watch)?)?)
+        Some(search.screened(watch)?)
     } else {
         None
     };

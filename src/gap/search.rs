@@ -146,6 +146,14 @@ impl<'a> Search<'a> {
         self.look().screen(&mut |done, of| watch.part(done, of))
     }
 
+    /// The same where nothing goes on without it.
+    ///
+    /// # Errors
+    /// The engine refuses a number; [`GapError::Stopped`].
+    pub(super) fn screened(&self, watch: &mut Watch<'_>) -> Result<Screen, GapError> {
+        self.screen(watch)?.ok_or(GapError::Stopped)
+    }
+
     /// What a screen looks at.
     pub(super) fn look(&self) -> Look<'_> {
         Look {
@@ -351,7 +359,14 @@ impl<'a> Search<'a> {
         }))
     }
 
-    /// With a fitted model in the place of the present one, settled.
+    /// With a fitted model in the place of the present one.
+    pub(super) fn with(&self, fitted: Fitted) -> Self {
+        let mut then = self.clone();
+        then.take(fitted);
+        then
+    }
+
+    /// The same, settled.
     ///
     /// # Errors
     /// See [`Search::settle`].
@@ -360,8 +375,7 @@ impl<'a> Search<'a> {
         fitted: Fitted,
         watch: &mut Watch<'_>,
     ) -> Result<Self, GapError> {
-        let mut then = self.clone();
-        then.take(fitted);
+        let mut then = self.with(fitted);
         then.settle(watch)?;
         Ok(then)
     }

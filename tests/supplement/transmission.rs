@@ -1,9 +1,10 @@
 //! Play and stretch between motor and joint.
 
 use phantom::compare::{Settings, States};
-use phantom::recording::{Channel, Kind, Meta, Recording, Stream};
+use phantom::recording::{Kind, Meta, Recording, Stream};
 use phantom::rng::{self, Purpose};
 
+use crate::common::driven::channel;
 use crate::machine::{ARMATURE, INERTIA, STEP, numeric, rotor, run, torque};
 
 const N: usize = 1200;
@@ -219,15 +220,9 @@ fn a_joint_is_found_behind_a_hammered_motor() {
     const NOISE: f64 = 1e-4;
     let spring = numeric("transmission_compliance", "m", "0.005 0.1");
     let mut machine = rotor(&spring, "");
-    let channel = |name: &str, kind, unit: &str| Channel {
-        name: name.into(),
-        kind,
-        unit: unit.into(),
-        noise_sigma: None,
-    };
     let channels = vec![
-        channel("q", Kind::Sensor, "rad"),
-        channel("m", Kind::Control, "N m"),
+        channel("q", Kind::Sensor, "rad", None),
+        channel("m", Kind::Control, "N m", None),
     ];
     let mut stream = Stream::new("all", Some(STEP.recip()), channels);
     let (mut q, mut v) = (Vec::new(), Vec::new());
