@@ -91,6 +91,7 @@ pub(super) fn fit(
     let fit = windows.within_priors(fit, &noise, |windows, x| {
         windows.fit(x, ITERATIONS, &mut |i| watch.fit(i))
     })?;
+    windows.choose_step(&fit.x)?;
     Ok((windows, noise, fit))
 }
 

@@ -2,7 +2,9 @@
 //!
 //! What a change of the model does to a window is needed to a few percent; what is left unexplained, to the last digit.
 //! Residuals are therefore simulated in the model's own step h, and derivatives, as differences of two simulations alike,
-//! in steps of c h. c is the largest of 8, 4, 2 with which the motors and every parameter act as in steps of h.
+//! in steps of c h. c is the largest of 8, 4, 2 with which the motors and every parameter act as in steps of h. Fits halve it
+//! where no step of theirs leads on ([`super::fit`]); where they have ended it is chosen anew, for the screen and for what is
+//! fitted next.
 
 use std::sync::Arc;
 
@@ -168,4 +170,23 @@ impl Windows {
 fn alike(a: &(DVector<f64>, f64), b: &(DVector<f64>, f64)) -> bool {
     let small = a.0.norm_squared() <= OWN * OWN * a.1;
     small || (&a.0 - &b.0).norm() <= WRONG * a.0.norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gap::masses::{machine, searching};
+
+    /// Where joints stick, the last steps of a fit are short ones; nothing after it needs them.
+    #[test]
+    fn a_fit_leaves_no_short_steps_behind() {
+        let base = machine(r#"damping=".2" frictionloss=".05""#, "");
+        let hidden = machine(r#"damping=".2" frictionloss=".5""#, "");
+        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"frictionloss\"\n";
+        searching(&base, &hidden, config, |search, watch| {
+            assert!(search.windows.factor > 1);
+            search.windows.factor = 1;
+            search.settle(watch).expect("settled");
+            assert!(search.windows.factor > 1);
+        });
+    }
 }

@@ -187,6 +187,7 @@ impl<'a> Search<'a> {
             .built
             .values(&self.windows.problem, &fit.x, &self.chosen);
         (self.x, self.cost) = (fit.x, fit.cost);
+        self.windows.choose_step(&self.x)?;
         Ok(())
     }
 
@@ -404,7 +405,7 @@ impl<'a> Search<'a> {
 }
 
 /// What came of a fit; nothing where the model follows no window.
-fn sound(fit: Result<fit::Fitted, SysidError>) -> Result<Option<fit::Fitted>, GapError> {
+pub(super) fn sound(fit: Result<fit::Fitted, SysidError>) -> Result<Option<fit::Fitted>, GapError> {
     match fit {
         Ok(fit) => Ok(Some(fit)),
         Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
