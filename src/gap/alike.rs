@@ -63,7 +63,7 @@ pub(super) struct Rival {
     place: Place,
     values: Vec<f64>,
     /// d²
-    separation: f64,
+    pub separation: f64,
 }
 
 impl Rival {
@@ -89,8 +89,17 @@ impl Rival {
         self.separation < APART
     }
 
+    /// To be fitted; none where the catalogue has no such name.
+    pub(super) fn chosen(&self) -> Option<Chosen> {
+        Some(Chosen {
+            effect: named(&self.name)?,
+            place: self.place.clone(),
+            values: self.values.clone(),
+        })
+    }
+
     /// Whether it is this effect there.
-    fn is(&self, chosen: &Chosen) -> bool {
+    pub(super) fn is(&self, chosen: &Chosen) -> bool {
         self.name == chosen.effect.about().name && self.place == chosen.place
     }
 }
@@ -292,18 +301,15 @@ impl Search<'_> {
                 watch.stage(Stage::Refit);
             }
             for rival in asked {
-                let Some(effect) = named(&rival.name) else {
+                let Some(instead) = rival.chosen() else {
                     continue;
                 };
                 if self.chosen.iter().any(|c| rival.is(c)) {
                     continue; // it stands beside it
                 }
+                let effect = instead.effect;
                 let mut chosen = self.chosen.clone();
-                chosen[i] = Chosen {
-                    effect,
-                    place: rival.place.clone(),
-                    values: rival.values.clone(),
-                };
+                chosen[i] = instead;
                 let Some(mut fitted) = self.fitted(&chosen, FEW_ITERATIONS, watch)? else {
                     continue;
                 };

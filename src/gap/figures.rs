@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::result::{Answer, Named, Verdict};
+use super::result::{Answer, Experiment, Named, Verdict};
 use super::run::{MissingSeries, Outcome};
 use crate::report::number;
 use crate::report::{Chart, Line, Report, Section, Table};
@@ -97,12 +97,27 @@ pub fn summary(answer: &Answer) -> Vec<String> {
     out.extend(answer.gap.notes.iter().map(|n| format!("note: {n}")));
     if let Some(next) = &answer.next_experiment {
         out.push(format!(
-            "next: {} ({})",
+            "next: {} ({}){}",
             next.motion,
-            next.effects.join(", ")
+            next.effects.join(", "),
+            promised(next)
         ));
     }
     out
+}
+
+/// What simulated motions promise of the next experiment, to be added to a line.
+fn promised(next: &Experiment) -> String {
+    let Some(best) = next.expected.first() else {
+        return String::new();
+    };
+    let odds = number(best.log_odds);
+    if best.motion == next.motion {
+        format!("; ln odds {odds} in simulation")
+    } else {
+        let n = next.expected.len();
+        format!("; none of {n} motions simulated tells more, ln odds {odds} at most")
+    }
 }
 
 fn verdict(answer: &Answer) -> String {
@@ -418,11 +433,22 @@ fn untested(answer: &Answer) -> Section {
     let mut section = Section::new("Not testable, and the next experiment").table(table);
     if let Some(next) = &answer.next_experiment {
         section = section.text(&format!(
-            "Next: {} (for {}); behaviours: {}.",
+            "Next: {} (for {}{}); behaviours: {}.",
             next.motion,
             next.effects.join(", "),
+            promised(next),
             next.behaviours.join(", ")
         ));
+        if !next.expected.is_empty() {
+            let mut table = Table::new(
+                "What simulated motions, as long as the recorded, would tell",
+                &["motion", "ln odds"],
+            );
+            for e in &next.expected {
+                table.push(vec![e.motion.clone(), number(e.log_odds)]);
+            }
+            section = section.table(table);
+        }
     }
     section
 }

@@ -136,6 +136,16 @@ impl Windows {
         Ok(followed.collect())
     }
 
+    /// Makes readings of what was simulated, without noise.
+    pub(super) fn have_recorded(&mut self, followed: &[Followed]) {
+        for (trial, followed) in self.problem.trials.iter_mut().zip(followed) {
+            for (i, r) in followed.samples.iter().zip(&followed.residual) {
+                let sample = &mut trial.samples[*i];
+                sample.value += r * self.problem.channels[sample.channel].sigma;
+            }
+        }
+    }
+
     /// Estimates the parameters and first states from `x`. Derivatives that do not foretell what happens are made
     /// anew, then in shorter steps.
     ///

@@ -44,7 +44,7 @@ pub(super) struct Instead {
     /// d²
     pub separation: f64,
     /// one a parameter
-    values: Vec<f64>,
+    pub values: Vec<f64>,
 }
 
 impl<'a> InPlace<'a> {

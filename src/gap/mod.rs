@@ -38,6 +38,7 @@ mod lying;
 mod masses;
 mod model;
 mod name;
+mod next;
 mod nudged;
 mod null;
 mod owed;

@@ -67,25 +67,30 @@ pub(super) fn name(
                 unit: parameter.unit(&scales).to_owned(),
             });
         }
-        let mut others: Vec<Where> = search.evidence[i].alike.iter().map(Rival::said).collect();
-        if let Some(place) = InPlace::of(search, screen, i) {
-            for c in &screen.candidates {
-                let Some(instead) = place.instead(c).filter(|own| own.separation < APART) else {
-                    continue;
-                };
-                let own = Where::of(c.effect, &c.place, instead.separation);
-                let known = others
-                    .iter()
-                    .any(|w| (&w.name, &w.at) == (&own.name, &own.at));
-                if !known {
-                    others.push(own);
-                }
-            }
-        }
+        let others = class(search, screen, i).iter().map(Rival::said).collect();
         let said = (chosen, search.built.forms[i]);
         out.push(called(said, parameters, &search.evidence[i], others));
     }
     out
+}
+
+/// What could stand in the place of effect `i` of `search`, `screen` being of its model, most alike first.
+pub(super) fn class(search: &Search<'_>, screen: &Screen, i: usize) -> Vec<Rival> {
+    let mut all = search.evidence[i].alike.clone();
+    let Some(place) = InPlace::of(search, screen, i) else {
+        return all;
+    };
+    for c in &screen.candidates {
+        let Some(instead) = place.instead(c).filter(|own| own.separation < APART) else {
+            continue;
+        };
+        let own = c.with(instead.values);
+        if !all.iter().any(|rival| rival.is(&own)) {
+            all.push(Rival::of(&own, instead.separation));
+        }
+    }
+    all.sort_by(|a, b| a.separation.total_cmp(&b.separation));
+    all
 }
 
 /// An effect with its class: itself, and those `alike` that could stand in its place.
@@ -142,6 +147,17 @@ fn splits(class: &[String]) -> Vec<(String, String, String)> {
     out
 }
 
+/// Behaviours that show any of these effects.
+pub(super) fn behaviours_of(names: &[String]) -> Vec<String> {
+    let mut all: Vec<String> = Vec::new();
+    for shown in names.iter().flat_map(|name| behaviours(name)) {
+        if !all.contains(&shown) {
+            all.push(shown);
+        }
+    }
+    all
+}
+
 /// Behaviours that show an effect.
 pub(super) fn behaviours(name: &str) -> Vec<String> {
     named(name).map_or_else(Vec::new, |e| {
@@ -153,17 +169,16 @@ pub(super) fn behaviours(name: &str) -> Vec<String> {
     })
 }
 
-/// What splits the first class; else what shows most of what could not be tested.
+/// What splits the first class, as the catalogue has it; else what shows most of what could not be tested.
 pub(super) fn next_experiment(effects: &[Named], untestable: &[Untestable]) -> Option<Experiment> {
     for e in effects.iter().filter(|e| e.class.len() > 1) {
         if let Some((a, b, motion)) = splits(&e.class).into_iter().next() {
-            let mut shown = behaviours(&a);
-            shown.extend(behaviours(&b));
-            shown.dedup();
+            let both = vec![a, b];
             return Some(Experiment {
-                effects: vec![a, b],
+                behaviours: behaviours_of(&both),
+                effects: both,
                 motion,
-                behaviours: shown,
+                expected: Vec::new(),
             });
         }
     }
@@ -181,5 +196,6 @@ pub(super) fn next_experiment(effects: &[Named], untestable: &[Untestable]) -> O
         effects: shown.map(|u| u.name.clone()).collect(),
         motion: format!("behaviour `{behaviour}`, in which these effects would show"),
         behaviours: vec![behaviour],
+        expected: Vec::new(),
     })
 }

@@ -178,6 +178,17 @@ pub struct Experiment {
     pub motion: String,
     /// behaviours of `phantom record`
     pub behaviours: Vec<String>,
+    /// what simulated motions promise, best first; empty where none was simulated
+    pub expected: Vec<Expected>,
+}
+
+/// What a motion as long as the recorded ones would tell of what was found and those that are alike.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Expected {
+    /// described
+    pub motion: String,
+    /// natural logarithm of the odds for what was found against the likeliest of the others, were it there
+    pub log_odds: f64,
 }
 
 /// An effect that these recordings cannot speak of.

@@ -40,17 +40,14 @@ pub(super) fn round_trip(
     let Some(followed) = windows.simulate(&search.x, &windows.states)? else {
         return Ok(None);
     };
+    windows.have_recorded(&followed);
     for (channel, noise) in windows.problem.channels.iter_mut().zip(&search.noise) {
         channel.sigma = *noise;
     }
-    let weighed: Vec<f64> = (search.windows.problem.channels.iter())
-        .map(|c| c.sigma)
-        .collect();
     for (w, (trial, followed)) in (windows.problem.trials.iter_mut().zip(&followed)).enumerate() {
         let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, w as u64);
-        for (i, r) in followed.samples.iter().zip(&followed.residual) {
+        for i in &followed.samples {
             let sample = &mut trial.samples[*i];
-            sample.value += r * weighed[sample.channel];
             sample.value += search.noise[sample.channel] * rng::normal(&mut rng);
         }
     }

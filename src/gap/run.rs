@@ -15,7 +15,7 @@ use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
 use super::verify;
 use super::windows::{self, Windows};
 use super::{
-    GapError, Report, Stage, Watch, left, lengths, name, nudged, repair, round_trip, toss,
+    GapError, Report, Stage, Watch, left, lengths, name, next, nudged, repair, round_trip, toss,
     untestable,
 };
 use crate::compare::Settings;
@@ -326,7 +326,8 @@ pub(super) fn at_length(
         ));
     }
     let verdict = verdict(&effects, !rest.is_empty(), much || left::law(&rest));
-    let next_experiment = name::next_experiment(&effects, &untestable);
+    let found = (&*effects, &*untestable);
+    let next_experiment = next::experiment(&search, screen, found, watch)?;
     let (built, problem) = (&search.built, &search.windows.problem);
     let model = repair::repaired((input.model, built), problem, &search.x, &search.chosen)?;
     Ok(Some(Outcome {
