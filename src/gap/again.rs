@@ -91,7 +91,9 @@ impl Look<'_> {
                 });
             }
         }
-        let answers = self.ask(&asked, at, 1, &mut |_| true)?.unwrap_or_default();
+        let answers = self
+            .ask(&asked, at, &at.0.all(), &mut |_| true)?
+            .unwrap_or_default();
         for (c, column) in which.into_iter().zip(answers) {
             if let Some(column) = column {
                 columns[c] = column;

@@ -5,6 +5,8 @@
 //!
 //! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
 //! - significance ([`super::evidence`]), in which held-out recordings have a say ([`super::held_out`]);
+//! - or, where noise explains all but a tenth of what the fit with it leaves, and that is less by a fifth and much in either
+//!   recordings, significance by that noise, which needs no stretches that agree: a motor's ripple or bound may show in one;
 //! - size; a small one, and one of which fitted parameters explain nearly all, is kept where it is most of what is left, or
 //!   of what noise does not explain of that, and the fall is owed to it ([`super::owed`]). What no fitted parameter could have
 //!   explained of it is a thousandth of the motors' at least: less is the work of steps, of how friction is rounded off and
@@ -20,11 +22,14 @@ use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{FEW_ITERATIONS, Fitted, Search};
 use super::{GapError, Stage, Watch};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Candidates that are fitted in full before one is kept.
 const RIVALS: usize = 8;
 /// And of what the best may be mistaken for.
 const NEIGHBOURS: usize = 2;
+/// And of what takes most off where one stretch of time has it all, so that no other foretells that.
+const LONE: usize = 2;
 /// So many candidates would look as good by chance, of one that is worth a fit; or it explains much of what is left: dry
 /// friction and stops show in few stretches, which a jackknife believes little.
 const LIKELY: f64 = 3.0;
@@ -44,6 +49,8 @@ const MOST: f64 = 0.5;
 const OWN: f64 = 0.1;
 /// Chance in the recordings that are fitted, times the number of candidates, above which held-out ones do not count.
 const LIKELY_STILL: f64 = 0.05;
+/// Part of the cost that may be left beside noise where noise decides.
+const QUIET: f64 = 0.1;
 /// Times after which a present model that is fitted better, instead of with an effect more, is looked at again.
 const REFITTED: usize = 3;
 
@@ -199,8 +206,17 @@ impl Search<'_> {
             let much = is_much((fall(own), self.cost, unexplained), falls);
             let visible = of.candidate.score.as_ref().map_or(0.0, |s| s.visible);
             let large = self.limits.large(evidence.size) && visible >= HARDLY_VISIBLE;
-            if self.limits.significant(evidence.p_value) && (large || much) {
-                if !large {
+            let sure = self.limits.significant(evidence.p_value);
+            let rest = own.cost - (self.cost - unexplained);
+            let plainly = if much && gain >= MUCH && rest <= QUIET * own.cost {
+                by_noise(of.candidate, fall(own)) * tests(screen) as f64
+            } else {
+                1.0
+            };
+            let plain = self.limits.significant(plainly);
+            if (sure && (large || much)) || plain {
+                evidence.p_value = evidence.p_value.min(plainly);
+                if !(large && sure) {
                     let foretold = of.candidate.score.as_ref().map_or(0.0, |s| s.gain);
                     match self.owed((own, held.as_ref()), (foretold, unexplained), watch)? {
                         Owed::Effect(part) => evidence.gain = part,
@@ -264,13 +280,22 @@ impl Search<'_> {
         let most = found.first().map_or(0.0, |f| f.1.held_gain);
         let near = found.into_iter().filter(|f| f.1.held_gain >= NEAR * most);
         let mut rivals: Vec<&Candidate> = near.map(|f| f.0).take(RIVALS).collect();
+        let more = |rivals: &[&Candidate], found: Vec<(&'s Candidate, &Score)>, most| {
+            let new = found.into_iter().map(|f| f.0);
+            let new = new.filter(|c| !rivals.iter().any(|own| std::ptr::eq(*own, *c)));
+            new.take(most).collect::<Vec<_>>()
+        };
+        let lone = |c: &Candidate, s: &Score| {
+            large(c) && s.gain >= MOST * unexplained && s.held_gain < NEAR * s.gain
+        };
+        let mut lone = self.best_first(screen, lone);
+        lone.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
+        rivals.extend(more(&rivals, lone, LONE));
         if let Some(&best) = rivals.first() {
             let alike =
                 |c: &Candidate, s: &Score| are_neighbours(c.effect, best.effect) && s.gain >= least;
-            let others = self.best_first(screen, alike).into_iter().map(|f| f.0);
-            let others = others.filter(|c| !rivals.iter().any(|own| std::ptr::eq(*own, *c)));
-            let others: Vec<&Candidate> = others.take(NEIGHBOURS).collect();
-            rivals.extend(others);
+            let others = self.best_first(screen, alike);
+            rivals.extend(more(&rivals, others, NEIGHBOURS));
         }
         rivals
     }
@@ -284,6 +309,16 @@ pub(super) fn is_much(
 ) -> bool {
     (fall >= MUCH * cost && falls(|held| MUCH * held.unexplained()))
         || (fall >= MOST * unexplained && falls(|held| MOST * held.unexplained()))
+}
+
+/// Chance that noise alone makes the cost fall so with a candidate, as if all of its numbers and shapes were fitted: where hardly
+/// anything but noise is left the cost is χ²/2, however few the stretches are that tell.
+fn by_noise(candidate: &Candidate, fall: f64) -> f64 {
+    let about = candidate.effect.about();
+    let chance = ChiSquared::new(about.parameters.len() as f64);
+    chance.map_or(1.0, |chance| {
+        chance.sf(2.0 * fall.max(0.0)) * about.shapes() as f64
+    })
 }
 
 /// What an effect takes off the held-out recordings' cost at least.
@@ -300,7 +335,7 @@ pub(super) fn tests(screen: &Screen) -> usize {
 #[cfg(test)]
 mod tests {
     use super::{Candidate, Held, Score, Tried, is_much};
-    use crate::gap::effect::write;
+    use crate::gap::effect::{ModelFile, write};
     use crate::gap::masses::{chosen, machine, searching};
 
     /// A motor stronger than said, of which a rotor has stood for all but what damping shows.
@@ -357,6 +392,34 @@ mod tests {
             let (fitted, of) = begun.expect("follows");
             assert_eq!(of.values, expected.values);
             assert!(fitted.cost < search.cost);
+        });
+    }
+
+    /// A motor that is at its bound for a few samples of two windows.
+    #[test]
+    fn what_few_samples_show_is_found() {
+        const CUT: f64 = 0.803;
+        let base = machine("", "").xml.replace(
+            r#"name="ma""#,
+            r#"name="ma" ctrllimited="true" ctrlrange="-9.2 9.2""#,
+        );
+        let base = ModelFile::of_text(base, "bounded.xml").expect("loads");
+        let law = chosen(&base, "torque_saturation", "ma", &[CUT]);
+        let hidden = write(&base, law.effect, &law.place, &law.values).expect("written");
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"armature\"\n";
+        searching(&base, &hidden.file, config, |search, watch| {
+            let left = search.forward(None, watch).expect("searched");
+            let names: Vec<_> = search
+                .chosen
+                .iter()
+                .map(|c| c.effect.about().name)
+                .collect();
+            assert!(
+                left.is_none() && names == ["torque_saturation"],
+                "{names:?}"
+            );
+            let cut = search.chosen[0].values[0];
+            assert!((cut - CUT).abs() < 0.002, "{cut}");
         });
     }
 

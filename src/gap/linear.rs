@@ -257,6 +257,25 @@ fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 impl Linear {
+    /// All windows.
+    pub(super) fn all(&self) -> Vec<usize> {
+        (0..self.rows.len()).collect()
+    }
+
+    /// One window of every `part` in a row, that of which most is left: what is missing shows there, and may nowhere else.
+    pub(super) fn telling(&self, part: usize) -> Vec<usize> {
+        let left: Vec<f64> = (self.rows.iter())
+            .map(|row| row.residual.norm_squared())
+            .collect();
+        let groups = self.all();
+        let most = groups.chunks(part).map(|some| {
+            some.iter()
+                .copied()
+                .max_by(|a, b| left[*a].total_cmp(&left[*b]))
+        });
+        most.flatten().collect()
+    }
+
     /// What another model, without free parameters, makes of the windows `some`, whose motion `simulate` makes, in the steps of
     /// derivatives or, `exactly`, in the model's own: change of each row. None for other windows, and where it diverges:
     /// nothing can be said there.

@@ -267,6 +267,15 @@ pub(super) struct Variant {
 }
 
 impl Variant {
+    /// Fall of the cost, which is `gain` at the sizes that are `expected`: what is there as a whole is there once.
+    pub(super) fn worth(&self, parameters: &[Parameter], (gain, expected): (f64, &[f64])) -> f64 {
+        match (&self.parameters[..], expected) {
+            (_, [0.0]) => 0.0,
+            ([p], [beta]) if parameters[*p].is_whole() => gain * (2.0 - 1.0 / beta) / beta,
+            _ => gain,
+        }
+    }
+
     /// Whether what is `expected` of every column makes sense.
     pub(super) fn makes_sense(
         &self,
@@ -328,6 +337,7 @@ pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::effect::named;
     use crate::gap::masses::{chosen, machine};
 
     /// A compliance had no bound once it was tried in several sizes.
@@ -343,6 +353,33 @@ mod tests {
             let scales = Scales::of(&base.model, &own.place);
             let most = own.effect.about().parameters[0].sensible(&scales)[1];
             assert!(with(most).absurd(&scales) && !with(0.5 * most).absurd(&scales));
+        }
+    }
+
+    /// The cost is a parabola in the size, whose least is elsewhere.
+    #[test]
+    fn what_is_there_as_a_whole_is_there_once() {
+        let base = machine("", "");
+        let friction = chosen(&base, "coulomb_friction", "a", &[1.0]);
+        let bound = named("torque_saturation").expect("in the catalogue");
+        let of = |effect: &dyn Effect, (gain, expected): (f64, f64)| {
+            let parameters = effect.about().parameters;
+            let variant = Variant {
+                columns: vec![(1.0, vec![1.0])],
+                parameters: vec![0],
+            };
+            variant.worth(parameters, (gain, &[expected]))
+        };
+        for (gain, expected) in [(3.0, 0.5), (3.0, 1.0), (3.0, 2.0), (3.0, -1.0), (0.0, 0.0)] {
+            // Φᵀr b + ½ ΦᵀΦ b² at b = 1
+            let square = if expected == 0.0 {
+                0.0
+            } else {
+                2.0 * gain / (expected * expected)
+            };
+            let once = square * expected - 0.5 * square;
+            assert!((of(bound, (gain, expected)) - once).abs() < 1e-12);
+            assert_eq!(of(friction.effect, (gain, expected)), gain);
         }
     }
 }

@@ -284,7 +284,12 @@ impl Normal {
         let mut betas = Vec::with_capacity(count);
         let mut gains = Vec::with_capacity(count);
         for (b, solved) in self.without[..count].iter().enumerate() {
-            let (step, beta, _) = solved.with(at)?;
+            // what shows in the stretch left out alone is not there for the others
+            let Some((step, beta, _)) = solved.with(at) else {
+                gains.push(0.0);
+                betas.push(DVector::zeros(at.len()));
+                continue;
+            };
             let stretch = &self.stretches[b];
             let before = cost_at(stretch, &indices(self.n_parameters, &[]), &solved.step);
             let mut both = step.as_slice().to_vec();
@@ -457,4 +462,38 @@ pub(super) fn two_sided(t: f64, dof: f64) -> f64 {
         return if t.is_nan() { 1.0 } else { 0.0 };
     }
     StudentsT::new(0.0, 1.0, dof.clamp(1.0, 1e5)).map_or(1.0, |d| 2.0 * d.sf(t.abs()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::masses::{machine, searching};
+
+    /// What shows in one window alone no other foretells, yet it can be asked for; and that window is looked at.
+    #[test]
+    fn what_shows_in_one_window_has_a_score() {
+        const WINDOW: usize = 5;
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&machine("", ""), &machine("", ""), config, |search, _| {
+            let mut linear = search.windows.linearise(&search.x).expect("linear");
+            let mut parts: Vec<DVector<f64>> = (linear.rows.iter())
+                .map(|row| DVector::zeros(row.residual.len()))
+                .collect();
+            parts[WINDOW].fill(1.0);
+            linear.rows[WINDOW].residual -= &parts[WINDOW] * 3.0;
+            let looked_at = linear.telling(4);
+            assert!(
+                looked_at.contains(&WINDOW) && looked_at.len() == linear.rows.len().div_ceil(4)
+            );
+            let raw = parts[WINDOW].norm_squared();
+            let column = Column { parts, raw };
+            let normal = Normal::new(&linear.rows, &[column], &search.stretch_of, &[(0.0, 0.0)]);
+            let score = normal.score(&[0]).expect("a score");
+            assert!((score.expected[0] - 3.0).abs() < 0.3, "{score:?}");
+            assert!(
+                score.gain > 4.0 * raw && score.held_gain < 1e-6 * score.gain,
+                "{score:?}"
+            );
+        });
+    }
 }

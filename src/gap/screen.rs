@@ -140,17 +140,22 @@ impl Look<'_> {
         let grids: BTreeSet<usize> = many.iter().map(|(i, _)| *i).collect();
         let n_many = many.len();
         let of = n_many + tried.len() + grids.len();
-        let Some(looked) = self.columns(&all, many, at, PART, &mut |n| watch(n, of))? else {
+        let some = linear.telling(PART);
+        let Some(looked) = self.columns(&all, many, at, &some, &mut |n| watch(n, of))? else {
             return Ok(None);
         };
-        let sensible = |i: usize, variant: &Variant, expected: &[f64]| {
+        let rate = |i: usize, variant: &Variant, (gain, expected): (f64, &[f64])| {
             let (effect, place) = &all[i];
             let scales = self.measured.scales(&self.built.file.model, place);
-            variant.makes_sense(effect.about().parameters, expected, &scales)
+            let parameters = effect.about().parameters;
+            let sensible = variant.makes_sense(parameters, expected, &scales);
+            (sensible, variant.worth(parameters, (gain, expected)))
         };
-        tried.extend(best(looked, &linear, &prior, &sensible));
+        tried.extend(best(looked, (&linear, &some), &prior, rate));
         tried.sort_by_key(|(i, _)| *i);
-        let Some(looked) = self.columns(&all, tried, at, 1, &mut |n| watch(n_many + n, of))? else {
+        let whole = linear.all();
+        let Some(looked) = self.columns(&all, tried, at, &whole, &mut |n| watch(n_many + n, of))?
+        else {
             return Ok(None);
         };
         let mut columns: Vec<Column> = Vec::new();
@@ -209,7 +214,7 @@ impl Look<'_> {
         !about.is_variety() || place.is_dry(&self.built.file.model)
     }
 
-    /// Columns of variants of which anything is left, in every `stride`-th window, and the parameters that they stand
+    /// Columns of variants of which anything is left, in the windows `some`, and the parameters that they stand
     /// for; without variants that the model cannot say or of which nothing shows. `watch` is told how many are done;
     /// nothing if it stops.
     fn columns(
@@ -217,7 +222,7 @@ impl Look<'_> {
         all: &[(&'static dyn Effect, Place)],
         tried: Vec<(usize, Variant)>,
         at: At<'_>,
-        stride: usize,
+        some: &[usize],
         watch: &mut dyn FnMut(usize) -> bool,
     ) -> Result<Option<Vec<Looked>>, GapError> {
         let (mut asked, mut variant_of) = (Vec::new(), Vec::new());
@@ -234,7 +239,7 @@ impl Look<'_> {
             }
         }
         let mut done = |n: usize| watch(variant_of.get(n).map_or(tried.len(), |v| *v));
-        let Some(answers) = self.ask(&asked, at, stride, &mut done)? else {
+        let Some(answers) = self.ask(&asked, at, some, &mut done)? else {
             return Ok(None);
         };
         let mut answers = answers.into_iter();
@@ -295,15 +300,14 @@ impl Look<'_> {
     }
 }
 
-/// The best variant of each candidate by a part of the windows, with all that it consists of: one of those of `sensible`
-/// size, if there is one.
+/// The best variant of each candidate by the windows `some`, with all that it consists of, as `rate` does by what they
+/// gain and the sizes that are expected of them.
 fn best(
     looked: Vec<Looked>,
-    linear: &Linear,
+    (linear, some): (&Linear, &[usize]),
     prior: &[(f64, f64)],
-    sensible: &dyn Fn(usize, &Variant, &[f64]) -> bool,
+    rate: impl Fn(usize, &Variant, (f64, &[f64])) -> (bool, f64),
 ) -> Vec<(usize, Variant)> {
-    let some: Vec<usize> = (0..linear.rows.len()).step_by(PART).collect();
     let rows: Vec<_> = some.iter().map(|w| linear.rows[*w].clone()).collect();
     let mut best: BTreeMap<usize, ((bool, f64), Variant)> = BTreeMap::new();
     for (i, variant, own) in looked {
@@ -317,7 +321,7 @@ fn best(
         let rated = normal
             .gain(&(0..parts.len()).collect::<Vec<_>>())
             .map_or((false, 0.0), |(gain, expected)| {
-                (sensible(i, &variant, &expected), gain)
+                rate(i, &variant, (gain, &expected))
             });
         if best.get(&i).is_none_or(|(most, _)| rated > *most) {
             best.insert(i, (rated, variant));

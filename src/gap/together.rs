@@ -35,7 +35,7 @@ struct Asked<'a> {
 type Trial<'a> = (Asked<'a>, Shows);
 
 impl Look<'_> {
-    /// What each does in every `stride`-th window, per unit of its size, where the parameters absorb what they can of it;
+    /// What each does in the windows `some`, per unit of its size, where the parameters absorb what they can of it;
     /// none where the model cannot say it. `watch` is told how many are done and stops it by `false`: then there is no
     /// result.
     ///
@@ -45,7 +45,7 @@ impl Look<'_> {
         &self,
         asked: &[Ask],
         (linear, absorb): At<'_>,
-        stride: usize,
+        some: &[usize],
         watch: &mut dyn FnMut(usize) -> bool,
     ) -> Result<Option<Vec<Option<Column>>>, GapError> {
         let mut columns: Vec<Option<Column>> = asked.iter().map(|_| None).collect();
@@ -62,7 +62,7 @@ impl Look<'_> {
                 return Ok(None);
             }
             done += group.len();
-            let found = self.simulate(&group, linear, stride)?;
+            let found = self.simulate(&group, linear, some)?;
             for ((Asked { index, ask, .. }, shows), column) in group.into_iter().zip(found) {
                 let Some(column) = column else { continue };
                 match absorb.moved(linear, &column, ask.size) {
@@ -78,7 +78,7 @@ impl Look<'_> {
             if !watch(done) {
                 return Ok(None);
             }
-            let found = self.simulate(&group, linear, stride)?;
+            let found = self.simulate(&group, linear, some)?;
             for ((moved, _), column) in group.iter().zip(found) {
                 let size = moved.ask.size;
                 columns[moved.index] = column.map(|c| c.without(linear, &moved.dx, size));
@@ -106,7 +106,7 @@ impl Look<'_> {
         &self,
         group: &[Trial<'_>],
         linear: &Linear,
-        stride: usize,
+        some: &[usize],
     ) -> Result<Vec<Option<Column>>, GapError> {
         let mut x = self.x.to_vec();
         let mut file = self.built.file.clone();
@@ -127,19 +127,18 @@ impl Look<'_> {
         let problem = &self.windows.problem;
         let names: Vec<String> = problem.channels.iter().map(|c| c.name.clone()).collect();
         let Ok(parameters) = Parameters::new(&file.model, &self.built.rules, &names) else {
-            return self.one_by_one(group, linear, stride);
+            return self.one_by_one(group, linear, some);
         };
         let with = Problem {
             model: file.model,
             parameters,
             ..problem.clone()
         };
-        let some: Vec<usize> = (0..linear.windows.len()).step_by(stride).collect();
         let held = self.windows.held(&with, &x);
         let quick = group.iter().any(|(own, _)| own.ask.effect.is_quick());
-        let moved = linear.moved(&held, &some, quick, &mut |point| point.simulate())?;
+        let moved = linear.moved(&held, some, quick, &mut |point| point.simulate())?;
         if group.len() > 1 && some.iter().any(|w| moved[*w].is_none()) {
-            return self.one_by_one(group, linear, stride); // what diverges by one says nothing of the others
+            return self.one_by_one(group, linear, some); // what diverges by one says nothing of the others
         }
         let column = |((own, shows), said): (&Trial<'_>, &bool)| {
             said.then(|| linear.part_of(&moved, own.ask.size, shows.as_ref()))
@@ -152,14 +151,14 @@ impl Look<'_> {
         &self,
         group: &[Trial<'_>],
         linear: &Linear,
-        stride: usize,
+        some: &[usize],
     ) -> Result<Vec<Option<Column>>, GapError> {
         if group.len() == 1 {
             return Ok(vec![None]);
         }
         let mut columns = Vec::with_capacity(group.len());
         for trial in group.chunks(1) {
-            columns.append(&mut self.simulate(trial, linear, stride)?);
+            columns.append(&mut self.simulate(trial, linear, some)?);
         }
         Ok(columns)
     }
@@ -220,7 +219,7 @@ mod tests {
                 size: 1.0,
             };
             let look = search.look();
-            let answer = look.ask(&[ask], (&linear, &absorb), 1, &mut |_| true);
+            let answer = look.ask(&[ask], (&linear, &absorb), &linear.all(), &mut |_| true);
             let columns = answer.expect("asked").expect("whole");
             let column = columns[0].as_ref().expect("can be said");
             let (mut before, mut after) = (0.0, 0.0);

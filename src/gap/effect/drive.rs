@@ -96,6 +96,11 @@ impl Effect for TorqueSaturation {
         &ABOUT
     }
 
+    /// A command may be at its bound in single samples.
+    fn is_quick(&self) -> bool {
+        true
+    }
+
     fn places(&self, model: &Model) -> Vec<Place> {
         let full = |place: &Place| {
             let id = model.id(ObjectKind::Actuator, &place.name);
