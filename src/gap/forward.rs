@@ -12,6 +12,8 @@
 //!   explained of it is a thousandth of the motors' at least: less is the work of steps, of how friction is rounded off and
 //!   of whatever else no model has exactly.
 
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
 use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
@@ -22,7 +24,6 @@ use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
 use super::search::{FEW_ITERATIONS, Fitted, Search};
 use super::{GapError, Stage, Watch};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Candidates that are fitted in full before one is kept.
 const RIVALS: usize = 8;
