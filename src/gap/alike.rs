@@ -268,6 +268,18 @@ impl Search<'_> {
         Ok(falls(before.as_ref(), after.as_ref(), |_| 0.0))
     }
 
+    /// The present model with another effect in the place of its effect `i`, the fit begun.
+    pub(super) fn fitted_instead(
+        &self,
+        i: usize,
+        instead: Chosen,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Fitted>, GapError> {
+        let mut chosen = self.chosen.clone();
+        chosen[i] = instead;
+        self.fitted(&chosen, FEW_ITERATIONS, watch)
+    }
+
     /// Fits what was alike once more, beside all that was found since, and what looks alike now that all is found; keeps what
     /// is alike, or exchanges what was chosen for it. `screen` is of the present model, `own_steps` what the cost is more
     /// without steps. Whether anything was exchanged.
@@ -308,9 +320,7 @@ impl Search<'_> {
                     continue; // it stands beside it
                 }
                 let effect = instead.effect;
-                let mut chosen = self.chosen.clone();
-                chosen[i] = instead;
-                let Some(mut fitted) = self.fitted(&chosen, FEW_ITERATIONS, watch)? else {
+                let Some(mut fitted) = self.fitted_instead(i, instead, watch)? else {
                     continue;
                 };
                 if fitted.cost > HOPELESS * self.cost && !rival.is_alike() {

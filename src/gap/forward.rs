@@ -17,7 +17,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
-use super::held_out::{Held, both, falls, unexplained};
+use super::held_out::{Held, both, falls, is_noise, unexplained};
 use super::name::APART;
 use super::owed::Owed;
 use super::score::Score;
@@ -50,8 +50,6 @@ const MOST: f64 = 0.5;
 const OWN: f64 = 0.1;
 /// Chance in the recordings that are fitted, times the number of candidates, above which held-out ones do not count.
 const LIKELY_STILL: f64 = 0.05;
-/// Part of the cost that may be left beside noise where noise decides.
-const QUIET: f64 = 0.1;
 /// Times after which a present model that is fitted better, instead of with an effect more, is looked at again.
 const REFITTED: usize = 3;
 
@@ -208,8 +206,8 @@ impl Search<'_> {
             let visible = of.candidate.score.as_ref().map_or(0.0, |s| s.visible);
             let large = self.limits.large(evidence.size) && visible >= HARDLY_VISIBLE;
             let sure = self.limits.significant(evidence.p_value);
-            let rest = own.cost - (self.cost - unexplained);
-            let plainly = if much && gain >= MUCH && rest <= QUIET * own.cost {
+            let noise = self.cost - unexplained;
+            let plainly = if much && gain >= MUCH && is_noise(own.cost, noise) {
                 by_noise(of.candidate, fall(own)) * tests(screen) as f64
             } else {
                 1.0
@@ -289,9 +287,9 @@ impl Search<'_> {
         let lone = |c: &Candidate, s: &Score| {
             large(c) && s.gain >= MOST * unexplained && s.held_gain < NEAR * s.gain
         };
-        let mut lone = self.best_first(screen, lone);
-        lone.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
-        rivals.extend(more(&rivals, lone, LONE));
+        let mut alone = self.best_first(screen, lone);
+        alone.sort_by(|a, b| b.1.gain.total_cmp(&a.1.gain));
+        rivals.extend(more(&rivals, alone, LONE));
         if let Some(&best) = rivals.first() {
             let alike =
                 |c: &Candidate, s: &Score| are_neighbours(c.effect, best.effect) && s.gain >= least;

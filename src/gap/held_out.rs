@@ -75,6 +75,11 @@ pub(super) fn unexplained(cost: f64, noise: f64) -> f64 {
     (cost - noise).max(UNEXPLAINED * cost)
 }
 
+/// Whether noise explains all of a cost that it may be taken to.
+pub(super) fn is_noise(cost: f64, noise: f64) -> bool {
+    cost - noise <= UNEXPLAINED * cost
+}
+
 /// Of a sum of the ranks of all that fell like that of `falls`, or more, were either sign of each as likely.
 fn chance(falls: &[f64]) -> f64 {
     let mut order: Vec<f64> = falls.to_vec();

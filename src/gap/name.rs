@@ -126,27 +126,6 @@ pub(super) fn called(
     }
 }
 
-/// What would tell the members of a class apart, as the catalogue has it.
-fn splits(class: &[String]) -> Vec<(String, String, String)> {
-    let mut out = Vec::new();
-    for (i, a) in class.iter().enumerate() {
-        for b in &class[i + 1..] {
-            let of = |x: &str, y: &str| {
-                let about = named(x)?.about();
-                about
-                    .neighbours
-                    .iter()
-                    .find(|n| n.name == y)
-                    .map(|n| n.split)
-            };
-            if let Some(split) = of(a, b).or_else(|| of(b, a)) {
-                out.push((a.clone(), b.clone(), split.to_owned()));
-            }
-        }
-    }
-    out
-}
-
 /// Behaviours that show any of these effects.
 pub(super) fn behaviours_of(names: &[String]) -> Vec<String> {
     let mut all: Vec<String> = Vec::new();
@@ -169,19 +148,33 @@ pub(super) fn behaviours(name: &str) -> Vec<String> {
     })
 }
 
-/// What splits the first class, as the catalogue has it; else what shows most of what could not be tested.
+/// What splits the first two of a class that the catalogue knows how to tell apart.
+pub(super) fn splitting(class: &[String]) -> Option<Experiment> {
+    let of = |x: &str, y: &str| {
+        let mut neighbours = named(x)?.about().neighbours.iter();
+        neighbours.find(|n| n.name == y).map(|n| n.split)
+    };
+    let mut pairs = (class.iter().enumerate())
+        .flat_map(|(i, a)| class[i + 1..].iter().map(move |b| [a.clone(), b.clone()]));
+    let (split, pair) =
+        pairs.find_map(|[a, b]| Some((of(&a, &b).or_else(|| of(&b, &a))?, [a, b])))?;
+    Some(Experiment {
+        behaviours: behaviours_of(&pair),
+        effects: pair.to_vec(),
+        motion: split.to_owned(),
+        expected: Vec::new(),
+    })
+}
+
+/// What splits the first class that the catalogue knows how to; else what shows most of what could not be tested.
 pub(super) fn next_experiment(effects: &[Named], untestable: &[Untestable]) -> Option<Experiment> {
-    for e in effects.iter().filter(|e| e.class.len() > 1) {
-        if let Some((a, b, motion)) = splits(&e.class).into_iter().next() {
-            let both = vec![a, b];
-            return Some(Experiment {
-                behaviours: behaviours_of(&both),
-                effects: both,
-                motion,
-                expected: Vec::new(),
-            });
-        }
-    }
+    let mut classes = effects.iter().filter(|e| e.class.len() > 1);
+    let split = classes.find_map(|e| splitting(&e.class));
+    split.or_else(|| showing(untestable))
+}
+
+/// What shows most of what could not be tested.
+fn showing(untestable: &[Untestable]) -> Option<Experiment> {
     let hidden: Vec<&Untestable> = untestable.iter().filter(|u| u.reason == UNSHOWN).collect();
     let mut counts: Vec<(String, usize)> = Vec::new();
     for b in hidden.iter().flat_map(|u| &u.behaviours) {

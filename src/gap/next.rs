@@ -11,11 +11,10 @@
 //! told from below. (Box and Hill 1967; Buzzi-Ferraris and Forzatti 1983.) Motions are made of the windows of the recordings,
 //! their first states and commands changed, so that any machine can be asked; each is as long as what was recorded.
 
-use super::model::Chosen;
 use super::name;
 use super::result::{Expected, Experiment, Named, Untestable};
 use super::screen::Screen;
-use super::search::{FEW_ITERATIONS, Fitted, ITERATIONS, Search, sound};
+use super::search::{Fitted, ITERATIONS, Search, sound};
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 
@@ -93,9 +92,9 @@ pub(super) fn experiment(
     (effects, untestable): (&[Named], &[Untestable]),
     watch: &mut Watch<'_>,
 ) -> Result<Option<Experiment>, GapError> {
-    let mut next = name::next_experiment(effects, untestable);
+    let known = || name::next_experiment(effects, untestable);
     let Some(i) = effects.iter().position(|e| e.class.len() > 1) else {
-        return Ok(next);
+        return Ok(known());
     };
     watch.stage(Stage::Name);
     let mut rivals: Vec<Fitted> = Vec::new();
@@ -103,8 +102,12 @@ pub(super) fn experiment(
         if rivals.len() == RIVALS {
             break;
         }
-        if let Some(instead) = rival.chosen() {
-            rivals.extend(search.exchanged(i, instead, watch)?);
+        let Some(instead) = rival.chosen() else {
+            continue;
+        };
+        if let Some(mut fitted) = search.fitted_instead(i, instead, watch)? {
+            fitted.improve(watch)?;
+            rivals.push(fitted);
         }
     }
     let mut expected = Vec::new();
@@ -118,40 +121,22 @@ pub(super) fn experiment(
         }));
     }
     expected.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
-    let Some(best) = expected.first() else {
-        return Ok(next);
-    };
-    if best.log_odds >= ODDS.ln() {
-        let class = &effects[i].class;
-        next = Some(Experiment {
+    let class = &effects[i].class;
+    let best = expected.first();
+    if let Some(best) = best.filter(|best| best.log_odds >= ODDS.ln()) {
+        return Ok(Some(Experiment {
             effects: class.clone(),
             motion: best.motion.clone(),
             behaviours: name::behaviours_of(class),
             expected,
-        });
-    } else if let Some(next) = &mut next {
-        next.expected = expected;
+        }));
     }
-    Ok(next)
+    // what was simulated is of this class alone
+    let split = name::splitting(class).map(|split| Experiment { expected, ..split });
+    Ok(split.or_else(known))
 }
 
 impl Search<'_> {
-    /// The present model with another effect in the place of its effect `i`, fitted.
-    fn exchanged(
-        &self,
-        i: usize,
-        instead: Chosen,
-        watch: &mut Watch<'_>,
-    ) -> Result<Option<Fitted>, GapError> {
-        let mut chosen = self.chosen.clone();
-        chosen[i] = instead;
-        let Some(mut fitted) = self.fitted(&chosen, FEW_ITERATIONS, watch)? else {
-            return Ok(None);
-        };
-        fitted.improve(watch)?;
-        Ok(Some(fitted))
-    }
-
     /// Of the present model in a motion against the likeliest of `rivals`; none where one of them cannot follow it.
     fn log_odds(
         &self,

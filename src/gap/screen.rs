@@ -22,7 +22,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// More values of a grid than this are first tried on a part of the windows.
 const FEW: usize = 4;
-/// That part: every so many-th window.
+/// That part: one window of so many in a row.
 const PART: usize = 4;
 /// An effect of whose columns others leave less cannot be seen: columns are linear to about a hundredth of their length.
 pub(super) const LEAST_VISIBLE: f64 = 2e-4;
