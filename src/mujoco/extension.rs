@@ -47,6 +47,11 @@ pub trait Extension: std::fmt::Debug + Send + Sync {
     /// Turns the commands in `ctrl` (nu) into the controls that actuators get. Positions and velocities are evaluated.
     fn command(&self, data: &Data, memory: &[f64], ctrl: &mut [f64], next: &mut [f64]);
 
+    /// Whether a command of this actuator is changed on its way.
+    fn changes_command(&self, _actuator: usize) -> bool {
+        false
+    }
+
     /// Adds forces. `actuator_force` and `qfrc_actuator` are those of this step.
     fn force(&self, data: &Data, memory: &[f64], forces: &mut Forces, next: &mut [f64]);
 

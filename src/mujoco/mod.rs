@@ -16,6 +16,7 @@
 //! returns `Ok`, and [`Data::warnings`] tells. Read it after every rollout.
 #![allow(unsafe_code)]
 
+mod actuators;
 mod arrays;
 mod data;
 mod dynamics;

@@ -14,9 +14,6 @@ use super::law::{At, Built, Law};
 use super::{MAX_DELAY_S, parse};
 use crate::mujoco::Model;
 
-/// `mjDSBL_CLAMPCTRL` of the engine's model format.
-const CLAMP_DISABLED: i32 = 1 << 7;
-
 #[derive(Debug)]
 struct Delay(usize);
 
@@ -46,13 +43,8 @@ pub(super) fn ripple(model: &Model, actuator: usize) -> Built {
 
 /// The command as the actuator's range lets it pass.
 pub(super) fn limited(model: &Model, actuator: usize, command: f64) -> f64 {
-    let range = &model.actuator_ctrlrange()[2 * actuator..2 * actuator + 2];
-    let clamps = model.option().disable_flags & CLAMP_DISABLED == 0;
-    if clamps && model.actuator_ctrllimited()[actuator] != 0 {
-        command.max(range[0]).min(range[1])
-    } else {
-        command
-    }
+    let [low, high] = model.ctrl_limits(actuator);
+    command.max(low).min(high)
 }
 
 /// A line of past values: how many there are, where the next goes, the values.
@@ -106,6 +98,10 @@ impl<'a> Line<'a> {
 }
 
 impl Law for Delay {
+    fn changes_command(&self, actuator: usize) -> bool {
+        self.0 == actuator
+    }
+
     fn memory_len(&self, timestep: f64) -> usize {
         line_len(timestep, 1)
     }
@@ -121,6 +117,10 @@ impl Law for Delay {
 }
 
 impl Law for Lag {
+    fn changes_command(&self, actuator: usize) -> bool {
+        self.0 == actuator
+    }
+
     fn memory_len(&self, _timestep: f64) -> usize {
         2
     }
@@ -139,6 +139,10 @@ impl Law for Lag {
 }
 
 impl Law for Ripple {
+    fn changes_command(&self, actuator: usize) -> bool {
+        self.actuator == actuator
+    }
+
     fn command(&self, at: &At<'_>, ctrl: &mut [f64], _next: &mut [f64]) {
         let (n, q) = (at.numbers, at.data.qpos()[self.qpos]);
         let ripple = n[0] * (n[2] * q).sin() + n[1] * (n[2] * q).cos();

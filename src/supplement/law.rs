@@ -29,6 +29,11 @@ pub(super) trait Law: std::fmt::Debug + Send + Sync {
     /// Changes controls on their way to the actuators.
     fn command(&self, _at: &At<'_>, _ctrl: &mut [f64], _next: &mut [f64]) {}
 
+    /// Whether it changes the control of this actuator.
+    fn changes_command(&self, _actuator: usize) -> bool {
+        false
+    }
+
     /// Adds forces.
     fn force(&self, _at: &At<'_>, _forces: &mut Forces, _next: &mut [f64]) {}
 

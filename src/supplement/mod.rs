@@ -212,6 +212,10 @@ impl Extension for Supplement {
         }
     }
 
+    fn changes_command(&self, actuator: usize) -> bool {
+        self.terms.iter().any(|t| t.law.changes_command(actuator))
+    }
+
     fn force(&self, data: &Data, memory: &[f64], forces: &mut Forces, next: &mut [f64]) {
         for (term, at, part) in self.each(data, memory) {
             term.law.force(&at, forces, &mut next[part]);

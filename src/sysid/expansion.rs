@@ -62,7 +62,7 @@ impl<'a> Expansion<'a> {
             let step = STEP_PARAMETER * p.typical;
             let mut x = x.to_vec();
             x[j] += step;
-            let moved = !problem.parameters.changes_model(j);
+            let moved = problem.moves_controls(j);
             perturbed.push(Perturbed {
                 inverse: workspace(&x)?,
                 controls: moved.then(|| problem.controls(trial, &x)),

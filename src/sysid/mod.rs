@@ -24,6 +24,7 @@ mod arrow;
 mod backward;
 pub(crate) mod box_qp;
 pub mod check;
+pub mod commands;
 mod conclude;
 pub mod design;
 pub mod ensemble;

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 pub use super::rule::ParameterRule;
 use super::{SysidError, rule};
-use crate::mjcf::attribute::Target;
+use crate::mjcf::attribute::{Place, Target};
 use crate::mjcf::{edit, glob};
 use crate::mujoco::{Data, Model};
 
@@ -242,11 +242,8 @@ impl Parameters {
         matches!(self.all[self.free[j]].role, Role::Model(_))
     }
 
-    /// Gives the model of `data` the numbers of `nominal` changed by `x` (free).
-    ///
-    /// # Errors
-    /// When the engine refuses the model.
-    pub fn apply(&self, nominal: &Model, x: &[f64], data: &mut Data) -> Result<(), SysidError> {
+    /// Every number of the model that parameters stand for, at x (free).
+    fn numbers(&self, x: &[f64]) -> Vec<(&Target, f64)> {
         let values = self.values(x);
         let mut numbers = Vec::new();
         for (parameter, &value) in self.all.iter().zip(&values) {
@@ -261,6 +258,21 @@ impl Parameters {
                 }
             }
         }
+        numbers
+    }
+
+    /// The number at a place of the model, at x (free), if a parameter stands for it.
+    pub(crate) fn number(&self, place: &Place, x: &[f64]) -> Option<f64> {
+        let mut numbers = self.numbers(x).into_iter();
+        numbers.find(|n| n.0.place == *place).map(|n| n.1)
+    }
+
+    /// Gives the model of `data` the numbers of `nominal` changed by `x` (free).
+    ///
+    /// # Errors
+    /// When the engine refuses the model.
+    pub fn apply(&self, nominal: &Model, x: &[f64], data: &mut Data) -> Result<(), SysidError> {
+        let numbers = self.numbers(x);
         data.restore_model(nominal)?;
         data.edit_model(|edit| {
             edit::write(edit, &numbers, false);

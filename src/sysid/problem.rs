@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+pub use super::commands::CommandTiming;
 use super::norm::Norm;
 use super::parameter::{Instrument, ParameterRule, Parameters, Role};
 use super::path::Path;
@@ -41,21 +42,6 @@ pub struct ForceRule {
     /// cost of a residual
     #[serde(default)]
     pub norm: Norm,
-}
-
-/// When the command of a step acts.
-///
-/// The engine's step ties q₍k−1₎, qₖ and q₍k+1₎ to the command that holds from k to k + 1. In continuous time that second
-/// difference is the mean acceleration around k, to which the command before k contributes as much: the engine takes
-/// commands half a step early, which identification would see as damping (7 % of a Phantom's at 0.5 ms).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CommandTiming {
-    /// the mean of the command from half a step before a knot to half a step after it: machines, finer simulations
-    #[default]
-    Centred,
-    /// the mean over the step that begins at the knot: recordings simulated by the engine with the model's own step
-    Held,
 }
 
 /// The file of parameters: what to estimate and how to weigh.
@@ -315,54 +301,6 @@ impl Problem {
             .collect()
     }
 
-    /// Controls of every knot of a trial (`n_knots` × nu): means of the command over a step, see [`CommandTiming`].
-    pub fn controls(&self, trial: &Trial, x: &[f64]) -> Vec<f64> {
-        self.controls_from(trial, x, 0, trial.n_knots)
-    }
-
-    /// The same of `n` knots from `first`, which may lie before the trial's first (n × nu).
-    pub(crate) fn controls_from(
-        &self,
-        trial: &Trial,
-        x: &[f64],
-        first: isize,
-        n: usize,
-    ) -> Vec<f64> {
-        let early = match self.command {
-            CommandTiming::Centred => 0.5 * self.model.timestep(),
-            CommandTiming::Held => 0.0,
-        };
-        self.means(trial, x, (first, n), early)
-    }
-
-    /// What motors themselves get: means of the command over the step that begins at each of `n` knots from `first` (n × nu).
-    /// None where those are the controls.
-    pub(crate) fn held_controls(
-        &self,
-        trial: &Trial,
-        x: &[f64],
-        (first, n): (isize, usize),
-    ) -> Option<Vec<f64>> {
-        let held = self.command == CommandTiming::Held;
-        (!held).then(|| self.means(trial, x, (first, n), 0.0))
-    }
-
-    /// Means of the commands over a step from `early` s before each of `n` knots from `first` (n × nu).
-    fn means(&self, trial: &Trial, x: &[f64], (first, n): (isize, usize), early: f64) -> Vec<f64> {
-        let (h, nu) = (self.model.timestep(), self.model.nu());
-        let free = self.free_values(x);
-        let mut out = vec![0.0; n * nu];
-        for (i, series) in trial.controls.iter().enumerate() {
-            let delay = self.command_delay[i].value(&free);
-            let mut at = 0;
-            for k in 0..n {
-                let from = (first as f64 + k as f64) * h - delay - early;
-                out[k * nu + i] = mean_of_held(series, from, from + h, &mut at);
-            }
-        }
-        out
-    }
-
     /// Noise of channels for which none is given: from third differences, in which a smooth signal vanishes.
     fn guess_noise(&mut self) {
         for (c, channel) in self.channels.iter_mut().enumerate() {
@@ -432,35 +370,4 @@ fn forces(model: &Model, config: &ProblemConfig) -> Result<(Vec<f64>, Vec<Norm>)
         }
     }
     Ok((sigma, norm))
-}
-
-/// Mean over `from .. to` of a signal that holds each value until the next; `at` remembers the place.
-fn mean_of_held(series: &[(f64, f64)], from: f64, to: f64, at: &mut usize) -> f64 {
-    const SLACK: f64 = 1e-9; // stamps are whole nanoseconds
-    while *at + 1 < series.len() && series[*at + 1].0 <= from + SLACK {
-        *at += 1;
-    }
-    let (mut sum, mut time, mut i) = (0.0, from, *at);
-    while i + 1 < series.len() && series[i + 1].0 < to - SLACK {
-        let next = series[i + 1].0.max(time);
-        sum += series[i].1 * (next - time);
-        (time, i) = (next, i + 1);
-    }
-    (sum + series[i].1 * (to - time)) / (to - from)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::mean_of_held;
-
-    #[test]
-    fn a_held_signal_is_averaged_over_the_step() {
-        let series = [(0.0, 1.0), (0.1, 3.0), (0.15, -1.0)];
-        let mean = |from, to| mean_of_held(&series, from, to, &mut 0);
-        assert_eq!(mean(0.0, 0.1), 1.0);
-        assert!((mean(0.05, 0.15) - 2.0).abs() < 1e-12);
-        assert!((mean(0.1, 0.2) - 1.0).abs() < 1e-12);
-        assert_eq!(mean(5.0, 6.0), -1.0);
-        assert_eq!(mean(-2.0, -1.0), 1.0);
-    }
 }

@@ -1,6 +1,6 @@
 //! Springs, offsets, rotors and stops of joints.
 
-use super::place::{Site, is_motor, joint_of, joints};
+use super::place::{Site, joint_of, joints};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Shows,
 };
@@ -58,7 +58,7 @@ impl Effect for TorqueOffset {
         let model = site.model;
         let joint = &site.place.name;
         let motor = (0..model.nu()).find(|&u| {
-            is_motor(model, u)
+            model.is_motor(u)
                 && joint_of(model, u).as_deref() == Some(joint)
                 && gear(model, u) != 0.0
         });

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::mujoco::{Measures, Model, N_PRM, ObjectKind};
+use crate::mujoco::{Measures, Model, ObjectKind};
 use crate::sysid::reach::Contacts;
 
 /// What a place is a name of.
@@ -209,26 +209,14 @@ pub(super) fn joint_of(model: &Model, actuator: usize) -> Option<String> {
 
 /// Actuators whose force is proportional to their control, without activation.
 pub(super) fn motors(model: &Model) -> Vec<Place> {
-    named(model, PlaceKind::Actuator, |u| is_motor(model, u))
+    named(model, PlaceKind::Actuator, |u| model.is_motor(u))
 }
 
 /// Motors that drive a hinge or slide.
 pub(super) fn joint_motors(model: &Model) -> Vec<Place> {
     named(model, PlaceKind::Actuator, |u| {
-        is_motor(model, u) && joint_of(model, u).is_some()
+        model.is_motor(u) && joint_of(model, u).is_some()
     })
-}
-
-/// Whether an actuator has a fixed gain, no activation and a bias that is constant at most.
-pub(super) fn is_motor(model: &Model, actuator: usize) -> bool {
-    let bias = &model.actuator_biasprm()[N_PRM * actuator..N_PRM * actuator + 3];
-    // `mjGAIN_FIXED`, `mjDYN_NONE`, `mjBIAS_AFFINE` of the engine's model format
-    let constant = match model.actuator_biastype()[actuator] {
-        0 => true,
-        1 => bias[1..] == [0.0; 2],
-        _ => false,
-    };
-    model.actuator_gaintype()[actuator] == 0 && model.actuator_dyntype()[actuator] == 0 && constant
 }
 
 /// Whether a body moves freely.

@@ -165,7 +165,7 @@ impl Point<'_> {
             }
             if group
                 .iter()
-                .any(|(j, _)| !parameters.changes_model(j - n_state))
+                .any(|(j, _)| self.problem.moves_controls(j - n_state))
             {
                 moved_controls = self.controls(&x);
             }
