@@ -215,14 +215,12 @@ impl Search<'_> {
             let plain = self.limits.significant(plainly);
             if (sure && (large || much)) || plain {
                 evidence.p_value = evidence.p_value.min(plainly);
-                if !(large && sure) {
-                    let foretold = of.candidate.score.as_ref().map_or(0.0, |s| s.gain);
-                    match self.owed((own, held.as_ref()), (foretold, unexplained), watch)? {
-                        Owed::Effect(part) => evidence.gain = part,
-                        Owed::Fit(better) => {
-                            *self = self.settled_with(*better, watch)?;
-                            return Ok(Forward::Refitted);
-                        }
+                let foretold = of.candidate.score.as_ref().map_or(0.0, |s| s.gain);
+                match self.owed((own, held.as_ref()), (foretold, unexplained), watch)? {
+                    Owed::Effect(part) => evidence.gain = part,
+                    Owed::Fit(better) => {
+                        *self = self.settled_with(*better, watch)?;
+                        return Ok(Forward::Refitted);
                     }
                 }
                 evidence.alike = alike::rivals(&tried, i, (then.cost, &self.stretch_of))?;
