@@ -83,12 +83,8 @@ impl Axis {
         (torque > 0.0).then_some(torque)
     }
 
-    /// Torque of a plain motor.
+    /// Torque of a plain motor, whatever the range of its control.
     pub(super) fn torque(&self, ctrl: f64) -> f64 {
-        let ctrl = match self.ctrl_range {
-            Some([low, high]) => ctrl.clamp(low, high),
-            None => ctrl,
-        };
         self.gear * self.gain * ctrl
     }
 }

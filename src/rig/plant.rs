@@ -9,6 +9,9 @@ use super::effects::transmission::Transmission;
 use super::effects::{Bound, Effect};
 use crate::mujoco::{Data, Model, MujocoError};
 
+/// Range of a control that nothing reaches.
+const UNLIMITED: [f64; 2] = [-1e9, 1e9];
+
 /// The simulated truth.
 #[derive(Debug)]
 pub(super) struct Plant {
@@ -28,8 +31,8 @@ impl Plant {
     /// A plant at the state of `data`, whose model is the true one.
     ///
     /// # Errors
-    /// [`RigError::Effect`] for an effect that does not fit its place.
-    pub(super) fn new(data: Data, axes: &[Axis], effects: &[Bound]) -> Result<Self, RigError> {
+    /// [`RigError::Effect`] for an effect that does not fit its place; the engine refuses a number.
+    pub(super) fn new(mut data: Data, axes: &[Axis], effects: &[Bound]) -> Result<Self, RigError> {
         let model = data.model_arc().clone();
         let step_s = model.timestep();
         let fail = |bound: &Bound, reason| RigError::Effect {
@@ -48,14 +51,20 @@ impl Plant {
                 | Effect::TorqueSaturation => {
                     for axis in axes.iter().filter(|a| bound.elements.contains(&a.actuator)) {
                         drives[axis.actuator]
-                            .get_or_insert_with(|| Drive::new(axis.qpos))
-                            .add(&model, axis.actuator, bound, step_s);
+                            .get_or_insert_with(|| Drive::new(axis))
+                            .add(bound, step_s);
                     }
                 }
                 Effect::TorsionalFriction => torsions.push(Torsion::new(&model, bound)),
                 _ => all_terms.extend(terms(&model, bound).map_err(|r| fail(bound, r))?),
             }
         }
+        data.edit_model(|edit| {
+            let ranges = edit.actuator_ctrlrange().chunks_exact_mut(2);
+            for (range, _) in ranges.zip(&drives).filter(|own| own.1.is_some()) {
+                range.copy_from_slice(&UNLIMITED); // drives limit commands, not what they make of them
+            }
+        })?;
         let transmissions = transmissions(axes, effects, step_s)?;
         let mut plant = Self {
             transmissions,

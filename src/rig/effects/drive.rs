@@ -1,5 +1,7 @@
 //! From the commanded control to the one the actuator gets: delay, lag, gain, ripple, saturation, in this order.
 //!
+//! The range of the control is one of commands: what a motor makes of the greatest may be more, or less, than the model says.
+//!
 //! Of a command that is held over an inner step h, what is late by d is a mean over two steps, and a lag T has as its mean
 //! over one
 //!
@@ -10,7 +12,7 @@
 //! Euler's steps show what a force does [`EARLY`] h early, which a delay makes up for: what is hidden is what acts.
 
 use super::{Bound, Effect};
-use crate::mujoco::Model;
+use crate::rig::axes::Axis;
 
 /// Inner steps by which positions are ahead of those of a machine that moves in no steps: the velocity that a step ends with
 /// is that of all of it.
@@ -20,6 +22,8 @@ pub(in crate::rig) const EARLY: f64 = 0.5;
 #[derive(Debug, Clone)]
 pub(in crate::rig) struct Drive {
     qpos: usize,
+    /// of commands
+    range: Option<[f64; 2]>,
     /// the last commands, one an inner step; empty: no delay
     queue: Vec<f64>,
     next: usize,
@@ -37,10 +41,11 @@ pub(in crate::rig) struct Drive {
 }
 
 impl Drive {
-    /// A drive that passes commands on; `qpos` is the address of its joint.
-    pub(in crate::rig) fn new(qpos: usize) -> Self {
+    /// A drive that passes commands on.
+    pub(in crate::rig) fn new(axis: &Axis) -> Self {
         Self {
-            qpos,
+            qpos: axis.qpos,
+            range: axis.ctrl_range,
             queue: Vec::new(),
             next: 0,
             more: 0.0,
@@ -55,13 +60,7 @@ impl Drive {
     }
 
     /// Put an effect into it.
-    pub(in crate::rig) fn add(
-        &mut self,
-        model: &Model,
-        actuator: usize,
-        bound: &Bound,
-        step_s: f64,
-    ) {
+    pub(in crate::rig) fn add(&mut self, bound: &Bound, step_s: f64) {
         let v = &bound.values;
         let is_late = matches!(bound.effect, Effect::ActuatorDelay | Effect::ActuatorLag);
         if is_late && v[0] > 0.0 && self.queue.is_empty() && self.more == 0.0 {
@@ -73,10 +72,11 @@ impl Drive {
             Effect::TorqueGain => self.factor *= 1.0 + v[0],
             Effect::TorqueRipple => self.ripples.push([v[0], v[1], v[2]]),
             Effect::TorqueSaturation => {
-                let range = &model.actuator_ctrlrange()[2 * actuator..2 * actuator + 2];
-                let largest = range[0].abs().max(range[1].abs());
+                let largest = self
+                    .range
+                    .map_or(0.0, |[low, high]| low.abs().max(high.abs()));
                 // without a range there is nothing to cut
-                if model.actuator_ctrllimited()[actuator] != 0 && largest > 0.0 {
+                if largest > 0.0 {
                     self.limit = self.limit.min(largest * (1.0 - v[0]));
                 }
             }
@@ -99,7 +99,9 @@ impl Drive {
 
     /// The control of this inner step.
     pub(in crate::rig) fn output(&mut self, command: f64, qpos: &[f64]) -> f64 {
-        let mut u = command;
+        let mut u = self
+            .range
+            .map_or(command, |[low, high]| command.clamp(low, high));
         if !self.queue.is_empty() {
             std::mem::swap(&mut u, &mut self.queue[self.next]);
             self.next = (self.next + 1) % self.queue.len();
@@ -126,7 +128,7 @@ mod tests {
 
     #[test]
     fn lag_reaches_its_share_after_its_time() {
-        let mut drive = Drive::new(0);
+        let mut drive = Drive::new(&Axis::of_motor(0.01));
         drive.lag(0.01, 1e-4);
         for _ in 0..100 {
             drive.output(1.0, &[0.0]);
@@ -137,7 +139,7 @@ mod tests {
 
     #[test]
     fn delay_returns_the_command_of_then() {
-        let mut drive = Drive::new(0);
+        let mut drive = Drive::new(&Axis::of_motor(0.01));
         drive.queue = vec![0.0; 3];
         let out: Vec<f64> = (1..=5)
             .map(|k| drive.output(f64::from(k), &[0.0]))
@@ -145,17 +147,36 @@ mod tests {
         assert_eq!(out, [0.0, 0.0, 0.0, 1.0, 2.0]);
     }
 
+    /// A motor stronger than its model was held at what the model allows.
+    #[test]
+    fn a_range_is_one_of_commands() {
+        let mut axis = Axis::of_motor(0.01);
+        axis.ctrl_range = Some([-2.0, 1.0]);
+        let mut drive = Drive::new(&axis);
+        let bound = |effect, values: Vec<f64>| Bound {
+            effect,
+            elements: vec![0],
+            partner: None,
+            values,
+        };
+        drive.add(&bound(Effect::TorqueGain, vec![0.25]), 1e-4);
+        assert_eq!(drive.output(3.0, &[0.0]), 1.25);
+        assert_eq!(drive.output(-3.0, &[0.0]), -2.5);
+        // and torque is cut as a part of the greatest that the model allows
+        drive.add(&bound(Effect::TorqueSaturation, vec![0.5]), 1e-4);
+        assert_eq!(drive.output(3.0, &[0.0]), 1.0);
+    }
+
     /// With one effect, in inner steps of `h`.
     fn late(effect: Effect, amount: f64, h: f64) -> Drive {
-        let model = Model::from_xml_str("<mujoco/>").expect("loads");
         let bound = Bound {
             effect,
             elements: vec![0],
             partner: None,
             values: vec![amount],
         };
-        let mut drive = Drive::new(0);
-        drive.add(&model, 0, &bound, h);
+        let mut drive = Drive::new(&Axis::of_motor(0.01));
+        drive.add(&bound, h);
         drive
     }
 
