@@ -105,7 +105,7 @@ impl Rival {
 }
 
 /// What a fit with a cost in units of what it leaves is rated at, its numbers `x` included.
-fn price(cost: f64, x: &[f64]) -> f64 {
+pub(super) fn price(cost: f64, x: &[f64]) -> f64 {
     cost + NUMBER * (x.len() as f64)
 }
 

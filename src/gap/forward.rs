@@ -164,6 +164,9 @@ impl Search<'_> {
             .collect();
         let unit = self.unit(&tried, which)?;
         tried.sort_by(|a, b| a.price(which, unit).total_cmp(&b.price(which, unit)));
+        if let Some(i) = self.varied(&tried, watch)? {
+            tried[..=i].rotate_right(1);
+        }
         let rows = screen.linear.rows.iter();
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
@@ -245,7 +248,7 @@ impl Search<'_> {
 
     /// A candidate in the model, the fit begun. Where that falls short of what the screen expects, other shapes are tried: how
     /// dry friction changes with speed is not linear in anything.
-    fn begun<'s>(
+    pub(super) fn begun<'s>(
         &self,
         candidate: &'s Candidate,
         screen: &Screen,
@@ -267,7 +270,7 @@ impl Search<'_> {
 
     /// Candidates to be fitted, best first; then what the catalogue says may be mistaken for the best: a screen is linear, and
     /// what turns gravity by much is not.
-    fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
+    pub(super) fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
         let (unexplained, tests) = (self.unexplained(screen), tests(screen));
         let (least, much) = (self.limits.gain * unexplained, MUCH * unexplained);
         let likely =

@@ -57,6 +57,7 @@ mod step;
 mod together;
 mod toss;
 mod untestable;
+mod varied;
 mod verify;
 mod weigh;
 mod windows;

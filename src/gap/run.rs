@@ -277,7 +277,9 @@ pub(super) fn at_length(
     };
     let without = search.windows.without_steps(&search.x, &screen.linear)?;
     let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
-    let again = if search.tell_apart(&screen, by_steps, watch)? {
+    let exchanged = search.tell_apart(&screen, by_steps, watch)?;
+    // what was found later may do the work of what was found before
+    let again = if search.delete(watch)? || exchanged {
         Some(search.screened(watch)?)
     } else {
         None
