@@ -25,8 +25,8 @@ use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_pa
 use super::search::{FEW_ITERATIONS, Fitted, Search};
 use super::{GapError, Stage, Watch};
 
-/// Candidates that are fitted in full before one is kept.
-const RIVALS: usize = 8;
+/// Candidates that are fitted before one is kept: a spring with a rest that no screen expects may be the tenth of them.
+const RIVALS: usize = 12;
 /// And of what the best may be mistaken for.
 const NEIGHBOURS: usize = 2;
 /// And of what takes most off where one stretch of time has it all, so that no other foretells that.
