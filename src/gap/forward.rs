@@ -8,8 +8,8 @@
 //! - or, where noise explains all but a tenth of what the fit with it leaves, and that is less by a fifth and much in either
 //!   recordings, significance by that noise, which needs no stretches that agree: a motor's ripple or bound may show in one;
 //! - size; a small one, and one of which fitted parameters explain nearly all, is kept where it is most of what is left, or
-//!   of what noise does not explain of that, and the fall is owed to it ([`super::owed`]). What no fitted parameter could have
-//!   explained of it is a thousandth of the motors' at least: less is the work of steps, of how friction is rounded off and
+//!   of what noise does not explain of that. The fall has to be owed to the effect ([`super::owed`]), and what no fitted parameter
+//!   could have explained of it is a thousandth of the motors' at least: less is the work of steps, of how friction is rounded off and
 //!   of whatever else no model has exactly.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};

@@ -1,4 +1,4 @@
-//! Whether the fall of the cost that a small effect owes its place to is owed to the effect, or to its fit.
+//! Whether the fall of the cost that an effect owes its place to is owed to the effect, or to its fit.
 //!
 //! Joints that stick bend the cost: a fit of the present model may end where one that takes a way round, through numbers of an
 //! effect, goes on, and whatever is fitted then seems to take much off the cost. A screen is linear, and foretells none of
@@ -9,7 +9,7 @@
 //! C₁ without, C₀ without from there, C with        fall: C₀ − C of C₀, for C₀ < C₁
 //! ```
 //!
-//! and if the effect is not worth its place by that, the better fit takes the place of the present one.
+//! and if that is not much, the better fit takes the place of the present one, and the effect has to be found anew beside it.
 
 use super::forward::is_much;
 use super::held_out::{Held, falls, unexplained};

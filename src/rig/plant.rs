@@ -59,6 +59,12 @@ impl Plant {
                 _ => all_terms.extend(terms(&model, bound).map_err(|r| fail(bound, r))?),
             }
         }
+        for axis in axes
+            .iter()
+            .filter(|axis| springs(axis, effects).next().is_some())
+        {
+            drives[axis.actuator].get_or_insert_with(|| Drive::new(axis)); // their torque passes the engine by
+        }
         data.edit_model(|edit| {
             let ranges = edit.actuator_ctrlrange().chunks_exact_mut(2);
             for (range, _) in ranges.zip(&drives).filter(|own| own.1.is_some()) {
