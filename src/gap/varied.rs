@@ -32,19 +32,17 @@ impl Search<'_> {
         let Some(best) = tried.first().filter(|best| !is_dry(best)) else {
             return Ok(None);
         };
+        let all = CATALOGUE.iter().map(|e| e.about());
+        let varieties: Vec<String> = (all.filter(|about| about.is_variety()))
+            .map(|about| about.name.to_owned())
+            .filter(|name| self.effects.is_empty() || self.effects.contains(name))
+            .collect();
+        if varieties.is_empty() {
+            return Ok(None);
+        }
         for (i, dry) in tried.iter().enumerate().filter(|own| is_level(own.1)) {
             let mut there = self.settled_with(dry.fit.clone(), watch)?;
-            let varieties = CATALOGUE
-                .iter()
-                .map(|e| e.about())
-                .filter(|about| about.is_variety());
-            there.effects = varieties
-                .map(|about| about.name.to_owned())
-                .filter(|name| self.effects.is_empty() || self.effects.contains(name))
-                .collect();
-            if there.effects.is_empty() {
-                return Ok(None);
-            }
+            there.effects.clone_from(&varieties);
             let mut other = best.fit.clone();
             for (channel, own) in
                 (other.windows.problem.channels.iter_mut()).zip(&there.windows.problem.channels)

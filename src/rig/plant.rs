@@ -59,18 +59,18 @@ impl Plant {
                 _ => all_terms.extend(terms(&model, bound).map_err(|r| fail(bound, r))?),
             }
         }
-        for axis in axes
-            .iter()
-            .filter(|axis| springs(axis, effects).next().is_some())
-        {
+        for axis in sprung(axes, effects) {
             drives[axis.actuator].get_or_insert_with(|| Drive::new(axis)); // their torque passes the engine by
         }
-        data.edit_model(|edit| {
-            let ranges = edit.actuator_ctrlrange().chunks_exact_mut(2);
-            for (range, _) in ranges.zip(&drives).filter(|own| own.1.is_some()) {
-                range.copy_from_slice(&UNLIMITED); // drives limit commands, not what they make of them
-            }
-        })?;
+        // what is edited is a copy: none for a machine without drives
+        if drives.iter().any(Option::is_some) {
+            data.edit_model(|edit| {
+                let ranges = edit.actuator_ctrlrange().chunks_exact_mut(2);
+                for (range, _) in ranges.zip(&drives).filter(|own| own.1.is_some()) {
+                    range.copy_from_slice(&UNLIMITED); // drives limit commands, not what they make of them
+                }
+            })?;
+        }
         let transmissions = transmissions(axes, effects, step_s)?;
         let mut plant = Self {
             transmissions,
@@ -139,10 +139,13 @@ impl Plant {
 
 /// Dofs whose rotor turns with the motor, apart from the joint.
 pub(super) fn sprung_dofs(axes: &[Axis], effects: &[Bound]) -> Vec<usize> {
-    axes.iter()
-        .filter(|axis| springs(axis, effects).next().is_some())
-        .map(|axis| axis.dof)
-        .collect()
+    sprung(axes, effects).map(|axis| axis.dof).collect()
+}
+
+/// Axes with play or stretch between motor and joint.
+fn sprung<'a>(axes: &'a [Axis], effects: &'a [Bound]) -> impl Iterator<Item = &'a Axis> {
+    let sprung = |axis: &&Axis| springs(axis, effects).next().is_some();
+    axes.iter().filter(sprung)
 }
 
 fn springs<'a>(axis: &'a Axis, effects: &'a [Bound]) -> impl Iterator<Item = &'a Bound> {

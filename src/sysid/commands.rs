@@ -84,10 +84,11 @@ impl Problem {
 
     /// Whether controls change with estimated parameter `j`.
     pub(crate) fn moves_controls(&self, j: usize) -> bool {
+        let limited = self.model.actuator_forcelimited();
         match &self.parameters.all[self.parameters.free[j]].role {
             Role::Instrument(what, _) => *what == Instrument::CommandDelay,
             Role::Model(targets) => targets.iter().any(|(target, _)| {
-                (0..self.model.nu()).any(|i| limiting(i).contains(&target.place))
+                (0..limited.len()).any(|i| limited[i] != 0 && limiting(i).contains(&target.place))
             }),
         }
     }
