@@ -26,7 +26,7 @@ MAX_DELAY_S = 0.05
 KINDS = {
     "actuator_delay": ("actuator", 1), "actuator_lag": ("actuator", 1), "torque_ripple": ("actuator", 3),
     "backlash": ("actuator", 1), "transmission_compliance": ("actuator", 2),
-    "asymmetric_friction": ("joint", 2), "stribeck_friction": ("joint", 2), "load_dependent_friction": ("joint", 1),
+    "asymmetric_friction": ("joint", 1), "stribeck_friction": ("joint", 2), "load_dependent_friction": ("joint", 1),
     "quadratic_drag": ("joint", 1), "torque_offset": ("joint", 1), "cogging": ("joint", 3), "joint_stop": ("joint", 4),
     "torsional_friction": ("contact", 2), "encoder_scale": ("joint", 1), "encoder_offset": ("joint", 1),
     "sensor_delay": ("encoders", 1), "force_sensor_bias": ("sensor", 3),
@@ -278,7 +278,10 @@ class Supplement:
             passive[dof] -= inertia * (after[1] - before[1]) / self.timestep
             next_[:] = 1, after[0], after[1], v
         elif kind == "asymmetric_friction":
-            friction[dof] += number[0] * math.tanh(v / number[1])
+            level = self.model.dof_frictionloss[dof]
+            forwards, backwards = max(level + number[0], 0), max(level - number[0], 0)
+            friction[dof] += 0.5 * (forwards + backwards) - level
+            passive[dof] -= 0.5 * (forwards - backwards)
         elif kind == "stribeck_friction":
             friction[dof] += number[0] * math.exp(-(v / number[1]) ** 2)
         elif kind == "load_dependent_friction":

@@ -74,7 +74,7 @@ kinds! {
     "backlash" Motor transmission::backlash [play "rad or m" 0.0, ANY;]
     "transmission_compliance" Motor transmission::compliance
         [compliance "rad/(N m) or m/N" 0.0, ANY; damping_ratio "1" 0.0, 0.999;]
-    "asymmetric_friction" Joint friction::asymmetric [asymmetry "N m or N" -ANY, ANY; speed "rad/s or m/s" TINY, ANY;]
+    "asymmetric_friction" Joint friction::asymmetric [asymmetry "N m or N" -ANY, ANY;]
     "stribeck_friction" Joint friction::stribeck [excess "N m or N" -ANY, ANY; speed "rad/s or m/s" TINY, ANY;]
     "load_dependent_friction" Joint friction::load_dependent [coefficient "1" -ANY, ANY;]
     "quadratic_drag" Joint joint::quadratic_drag [drag "N m s^2/rad^2 or N s^2/m^2" -ANY, ANY;]

@@ -26,20 +26,12 @@ fn laws_on_a_pendulum() {
     let laws: &[(&str, &str, &[f64], Form, Law)] = &[
         ("viscous_friction", "j", &[0.05], NATIVE, |s| -0.05 * s.v),
         ("coulomb_friction", "j", &[0.07], NATIVE, |s| ramp(0.07, s)),
-        (
-            "asymmetric_friction",
-            "j",
-            &[0.02, 0.07, 0.03],
-            ADDED,
-            |s| ramp(0.07 + 0.02 * (s.v / 0.03).tanh(), s),
-        ),
-        (
-            "asymmetric_friction",
-            "j",
-            &[-0.02, 0.07, 0.03],
-            ADDED,
-            |s| ramp(0.07 - 0.02 * (s.v / 0.03).tanh(), s),
-        ),
+        ("asymmetric_friction", "j", &[0.02, 0.07], ADDED, |s| {
+            ramp(0.07, s) - 0.02
+        }),
+        ("asymmetric_friction", "j", &[-0.02, 0.07], ADDED, |s| {
+            ramp(0.07, s) + 0.02
+        }),
         ("stribeck_friction", "j", &[0.04, 0.05, 0.6], ADDED, |s| {
             ramp(0.05 + 0.04 * (-(s.v / 0.6).powi(2)).exp(), s)
         }),

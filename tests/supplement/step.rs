@@ -14,7 +14,7 @@ const ALL: [(&str, &str, &str, &str); 14] = [
     ("torque_ripple", "m", "0.2 0.1 20", "0 0 20"),
     ("backlash", "m", "0.01", "0"),
     ("transmission_compliance", "m", "0.01 0.3", "0 0.3"),
-    ("asymmetric_friction", "j", "0.01 0.1", "0 0.1"),
+    ("asymmetric_friction", "j", "0.01", "0"),
     ("stribeck_friction", "j", "0.02 0.3", "0 0.3"),
     ("load_dependent_friction", "j", "0.1", "0"),
     ("quadratic_drag", "j", "0.03", "0"),

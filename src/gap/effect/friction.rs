@@ -18,6 +18,8 @@ const FLOOR: f64 = 1e-3;
 const SOFT: ([f64; 2], [f64; 3]) = ([0.02, 1.0], [0.9, 0.95, 0.001]);
 /// Impedance near 1, as far as solvers stay well behaved.
 const FIRM: &str = "0.99 0.99 0.001";
+/// What tells friction that differs with direction from an offset.
+pub(super) const UNLOADED: &str = "the same motions with the joint's friction gone, oiled or unloaded: an offset stays, and beside friction nothing tells";
 const LEVEL: Parameter = Parameter::companion("level", Dimension::Force, [0.02, 0.5]);
 
 /// A dry joint's attributes with `level` more friction, and the number it is.
@@ -154,16 +156,15 @@ impl Effect for Asymmetric {
             name: "asymmetric_friction",
             law: "torque −(f + a) forwards, +(f − a) backwards",
             shows: Shows::Force,
-            signature: "−f sgn(v) − a while moving: an offset that is gone at rest",
+            signature: "−f sgn(v) − a, either way up to that at rest: as an offset beside −f sgn(v)",
             parameters: &[
                 Parameter::amplitude("asymmetry", Dimension::Force, [0.01, 0.3]).signed(),
                 LEVEL,
-                Parameter::choice("speed", Dimension::Speed, &[0.002], [0.0005, 0.1]),
             ],
             neighbours: &[
                 Neighbour {
                     name: "torque_offset",
-                    split: "holds approached from both sides: an offset stays, friction does not",
+                    split: UNLOADED,
                 },
                 Neighbour {
                     name: "coulomb_friction",
@@ -185,6 +186,10 @@ impl Effect for Asymmetric {
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
         changing("asymmetric_friction", site, values, 1)
+    }
+
+    fn in_dry_joints(&self) -> Option<(&'static str, f64)> {
+        Some(("torque_offset", -1.0))
     }
 }
 

@@ -1,5 +1,6 @@
 //! Springs, offsets, rotors and stops of joints.
 
+use super::friction::UNLOADED;
 use super::place::{Site, joint_of, joints};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Shows,
@@ -34,7 +35,7 @@ impl Effect for TorqueOffset {
             neighbours: &[
                 Neighbour {
                     name: "asymmetric_friction",
-                    split: "holds approached from both sides: an offset stays, friction does not",
+                    split: UNLOADED,
                 },
                 Neighbour {
                     name: "joint_spring",

@@ -120,6 +120,11 @@ pub trait Effect: std::fmt::Debug + Sync {
         false
     }
 
+    /// Name of another effect that is the same law where a joint has dry friction, and its size per size of this one.
+    fn in_dry_joints(&self) -> Option<(&'static str, f64)> {
+        None
+    }
+
     /// What it is proportional to, if it is a sine and a cosine of the joint's angle whose period is its last parameter:
     /// then the best period is found without a simulation for each.
     fn periodic(&self) -> Option<Periodic> {
