@@ -298,10 +298,14 @@ impl Search<'_> {
         let mut exchanged = false;
         for (i, mut asked) in look.into_iter().enumerate() {
             let known = std::mem::take(&mut self.evidence[i].alike);
+            let other = self.by_other_name(i);
+            let is_other = |rival: &Rival| other.as_ref().is_some_and(|own| rival.is(own));
+            let known: Vec<Rival> = known.into_iter().filter(|k| !is_other(k)).collect();
             asked.retain(|a| {
-                !known
-                    .iter()
-                    .any(|k| (&k.name, &k.place) == (&a.name, &a.place))
+                !is_other(a)
+                    && !known
+                        .iter()
+                        .any(|k| (&k.name, &k.place) == (&a.name, &a.place))
             });
             let (mut left, again) = if alone {
                 (known, Vec::new())
@@ -351,6 +355,14 @@ impl Search<'_> {
                 }
             }
             left.retain(Rival::is_alike);
+            let other = self.by_other_name(i).map(|own| Rival::of(&own, 0.0));
+            left.extend(match self.one_cause(i, watch)? {
+                None => other,
+                before => {
+                    (own_steps, exchanged) = (None, true);
+                    before
+                }
+            });
             self.evidence[i].alike = left;
         }
         Ok(exchanged)

@@ -41,6 +41,7 @@ mod name;
 mod next;
 mod nudged;
 mod null;
+mod one_law;
 mod owed;
 mod predict;
 mod pulse;

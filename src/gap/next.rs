@@ -98,6 +98,13 @@ pub(super) fn experiment(
     };
     watch.stage(Stage::Name);
     let mut rivals: Vec<Fitted> = Vec::new();
+    let other = search.by_other_name(i); // which no motion tells from it
+    let mut class = effects[i].class.clone();
+    class.retain(|name| {
+        other
+            .as_ref()
+            .is_none_or(|own| own.effect.about().name != name)
+    });
     for rival in name::class(search, screen, i) {
         if rivals.len() == RIVALS {
             break;
@@ -105,10 +112,16 @@ pub(super) fn experiment(
         let Some(instead) = rival.chosen() else {
             continue;
         };
+        if other.as_ref().is_some_and(|own| rival.is(own)) {
+            continue;
+        }
         if let Some(mut fitted) = search.fitted_instead(i, instead, watch)? {
             fitted.improve(watch)?;
             rivals.push(fitted);
         }
+    }
+    if rivals.is_empty() {
+        return Ok(known());
     }
     let mut expected = Vec::new();
     for (done, motion) in MOTIONS.iter().enumerate() {
@@ -121,18 +134,17 @@ pub(super) fn experiment(
         }));
     }
     expected.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
-    let class = &effects[i].class;
     let best = expected.first();
     if let Some(best) = best.filter(|best| best.log_odds >= ODDS.ln()) {
         return Ok(Some(Experiment {
             effects: class.clone(),
             motion: best.motion.clone(),
-            behaviours: name::behaviours_of(class),
+            behaviours: name::behaviours_of(&class),
             expected,
         }));
     }
     // what was simulated is of this class alone
-    let split = name::splitting(class).map(|split| Experiment { expected, ..split });
+    let split = name::splitting(&class).map(|split| Experiment { expected, ..split });
     Ok(split.or_else(known))
 }
 

@@ -1,0 +1,123 @@
+//! Effects that are one law by two names.
+//!
+//! Dry friction that differs with direction holds a joint by anything between −(f + a) and f − a, and so does friction f beside an
+//! offset of −a. No motion tells them apart, whatever fits of a joint that sticks make of either. The other name belongs to the
+//! class at no distance, without a fit, and there is nothing to simulate. Where the friction was found, one cause of both is likelier
+//! than two that meet in a joint: the variety takes the offset's place, if it can be fitted as well.
+
+use super::alike::{Rival, apart, price};
+use super::effect::{CATALOGUE, DRY, Effect, named};
+use super::model::Chosen;
+use super::name::APART;
+use super::search::Search;
+use super::{GapError, Watch};
+
+impl Search<'_> {
+    /// Effect `i` by its other name, if it has one where it is.
+    pub(super) fn by_other_name(&self, i: usize) -> Option<Chosen> {
+        let own = &self.chosen[i];
+        let (model, place) = (&self.built.file.model, &own.place);
+        if !place.is_dry(model) {
+            return None;
+        }
+        let by = |effect: &'static dyn Effect, size: f64| {
+            let mut values = vec![0.0; effect.about().parameters.len()];
+            *values.first_mut()? = size;
+            let asked = self.effects.is_empty()
+                || (self.effects.iter()).any(|name| name == effect.about().name);
+            (asked && effect.places(model).contains(place)).then(|| Chosen {
+                effect,
+                place: place.clone(),
+                values,
+            })
+        };
+        let size = *own.values.first()?;
+        if let Some((name, per_own)) = own.effect.in_dry_joints() {
+            return by(named(name)?, per_own * size);
+        }
+        CATALOGUE.iter().find_map(|effect| {
+            let (name, per_own) = effect.in_dry_joints()?;
+            (name == own.effect.about().name).then(|| by(*effect, size / per_own))?
+        })
+    }
+
+    /// Puts effect `i` and the dry friction that was found beside it down to one cause, if they have one; what it was called before.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn one_cause(
+        &mut self,
+        i: usize,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<Rival>, GapError> {
+        let Some(variety) = self.by_other_name(i) else {
+            return Ok(None);
+        };
+        if !variety.effect.about().is_variety() || !self.has(DRY, &variety.place) {
+            return Ok(None);
+        }
+        let Some(fitted) = self.fitted_instead(i, variety, watch)? else {
+            return Ok(None);
+        };
+        if apart(price(fitted.cost, &fitted.x), price(self.cost, &self.x)) >= APART {
+            return Ok(None);
+        }
+        let before = Rival::of(&self.chosen[i], 0.0);
+        *self = self.settled_with(fitted, watch)?;
+        Ok(Some(before))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gap::masses::{chosen, found, machine, searching};
+
+    /// Friction found beside an offset is friction that differs with direction, not so where it was known.
+    #[test]
+    fn friction_and_an_offset_are_one_cause() {
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        for known in [false, true] {
+            let base = machine(if known { r#"frictionloss=".15""# } else { "" }, "");
+            let hidden = machine(r#"frictionloss=".15""#, "");
+            let law = chosen(&hidden, "torque_offset", "a", &[-0.06]);
+            let hidden = crate::gap::effect::write(&hidden, law.effect, &law.place, &law.values);
+            searching(
+                &base,
+                &hidden.expect("written").file,
+                config,
+                |search, watch| {
+                    let mut effects = vec![chosen(&base, "torque_offset", "a", &[-0.05])];
+                    if !known {
+                        effects.insert(0, chosen(&base, "coulomb_friction", "a", &[0.1]));
+                    }
+                    found(search, &effects, watch);
+                    let screen = search.screen(watch).expect("screened").expect("whole");
+                    search.tell_apart(&screen, None, watch).expect("told");
+                    let last = search.chosen.last().expect("an effect");
+                    let names = ["asymmetric_friction", "torque_offset"];
+                    let (own, other) = (names[usize::from(known)], names[usize::from(!known)]);
+                    assert_eq!(last.effect.about().name, own);
+                    let size = if known { -0.06 } else { 0.06 };
+                    assert!((last.values[0] - size).abs() < 1e-3, "{:?}", last.values);
+                    let alike = &search.evidence.last().expect("evidence").alike;
+                    let said: Vec<_> = alike.iter().map(|rival| rival.said().name).collect();
+                    assert!(said.iter().any(|name| name == other), "{said:?}");
+                },
+            );
+        }
+    }
+
+    /// Without friction an offset is nothing else.
+    #[test]
+    fn smooth_joints_tell() {
+        let base = machine("", "");
+        searching(&base, &base, "", |search, watch| {
+            found(
+                search,
+                &[chosen(&base, "torque_offset", "a", &[0.05])],
+                watch,
+            );
+            assert!(search.by_other_name(0).is_none());
+        });
+    }
+}
