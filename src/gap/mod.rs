@@ -138,6 +138,8 @@ pub type Report<'a> = &'a mut dyn FnMut(Stage, &str, Option<f64>) -> bool;
 
 /// Fall of the cost in an iteration, as a part of it, that is hardly one.
 const HARDLY: f64 = 1e-3;
+/// Part of the cost before a step that a fit which still falls leaves at most.
+const FALLING: f64 = 0.8;
 
 /// Tells whoever watches.
 struct Watch<'a> {
@@ -201,7 +203,49 @@ impl<'a> Watch<'a> {
         }
     }
 
+    /// The same, to stop after so many iterations too, unless the last of them still took much off the cost: where joints stick a
+    /// fit may begin a hundred times off, and be half way after these.
+    fn fit_while_falling(&mut self, iterations: usize) -> impl FnMut(&Iteration) -> bool {
+        let (mut done, mut before) = (0, f64::INFINITY);
+        let mut nearly = self.fit_nearly();
+        move |i| {
+            done += 1;
+            let falls = i.cost < FALLING * before;
+            before = i.cost;
+            nearly(i) && (done < iterations || falls)
+        }
+    }
+
     fn part(&mut self, done: usize, of: usize) -> bool {
         self.tell("", Some(done as f64 / of.max(1) as f64))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Watch;
+    use crate::sysid::fit::Iteration;
+
+    /// Costs of fits of a finger's dry friction, of 136 before it, and of an encoder's scale that does not help.
+    #[test]
+    fn what_still_falls_is_not_given_up() {
+        let iterations = |costs: &[f64]| {
+            let mut report = |_, _: &str, _| true;
+            let mut watch = Watch::new(&mut report);
+            let mut going = watch.fit_while_falling(3);
+            let goes = |cost: &f64| {
+                going(&Iteration {
+                    level: 0.0,
+                    cost: *cost,
+                    damping: 0.0,
+                    horizon_s: None,
+                    step: 0.0,
+                    x: Vec::new(),
+                })
+            };
+            1 + costs.iter().map(goes).take_while(|going| *going).count()
+        };
+        assert_eq!(iterations(&[538.9, 243.2, 123.3, 71.0, 64.0, 60.0]), 5);
+        assert_eq!(iterations(&[171.4, 130.2, 115.0, 114.2]), 3);
     }
 }

@@ -57,7 +57,7 @@ impl Limits {
 
 /// Iterations of a fit after a small change.
 pub(super) const ITERATIONS: usize = 12;
-/// Iterations after which what is far behind is given up.
+/// Iterations after which what is far behind, and falls no more, is given up.
 pub(super) const FEW_ITERATIONS: usize = 3;
 /// Iterations before shapes of a new effect are freed.
 const HELD_ITERATIONS: usize = 3;
@@ -343,7 +343,13 @@ impl<'a> Search<'a> {
             }
         }
         windows.problem = problem;
-        let Some(fit) = sound(windows.fit(&x, iterations, &mut watch.fit_nearly()))? else {
+        let most = if iterations < FEW_ITERATIONS {
+            iterations
+        } else {
+            ITERATIONS
+        };
+        let going = &mut watch.fit_while_falling(iterations);
+        let Some(fit) = sound(windows.fit(&x, most, going))? else {
             return Ok(None);
         };
         if windows.len() != self.windows.len() {
