@@ -50,8 +50,9 @@ const CLEARLY: f64 = 0.8;
 /// Separation up to which what is not alike is remembered, and how many of these: effects found later may turn it round.
 const NEARLY: f64 = 50.0;
 const RUNNERS_UP: usize = 3;
-/// Times the present cost that another effect may leave after few iterations, unless it was alike.
+/// Times the present cost that another effect may leave when its fit falls no more by much, and that one which was alike may.
 const HOPELESS: f64 = 2.0;
+const LOST: f64 = 10.0;
 /// Places of costs with and without steps.
 const WITH: usize = 0;
 const WITHOUT: usize = 1;
@@ -327,7 +328,8 @@ impl Search<'_> {
                 let Some(mut fitted) = self.fitted_instead(i, instead, watch)? else {
                     continue;
                 };
-                if fitted.cost > HOPELESS * self.cost && !rival.is_alike() {
+                let most = if rival.is_alike() { LOST } else { HOPELESS };
+                if fitted.cost > most * self.cost {
                     continue;
                 }
                 fitted.improve(watch)?;

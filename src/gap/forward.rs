@@ -1,4 +1,4 @@
-//! One step forward: the candidates that promise most are fitted, and the best that stands is kept.
+//! One step forward: the candidates that promise most are fitted, those that lead in every shape, and the best that stands is kept.
 //!
 //! A screen is linear and judges from a model that lacks what it looks for; it says who is worth a fit, no more. What
 //! decides is taken from the fits: the cost, 2 more for each number, then for the best first
@@ -146,8 +146,9 @@ impl Search<'_> {
         let fall = |f: &Fitted| self.cost - f.cost;
         let most = fitted.iter().map(|f| fall(&f.0)).fold(0.0, f64::max);
         fitted.retain(|f| fall(&f.0) >= LEADING * most);
-        for (own, _) in &mut fitted {
+        for (own, candidate) in &mut fitted {
             own.improve(watch)?;
+            self.other_shapes((own, candidate), screen, watch)?;
         }
         fitted.retain(|f| fall(&f.0) >= least);
         if fitted.is_empty() {
@@ -268,6 +269,36 @@ impl Search<'_> {
         Ok(best)
     }
 
+    /// Takes another shape of a fitted candidate where that fits better: a speed of Stribeck's fall that is well below the true one
+    /// is no way from it.
+    fn other_shapes<'s>(
+        &self,
+        (own, candidate): (&mut Fitted, &mut &'s Candidate),
+        screen: &'s Screen,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), GapError> {
+        let shapes = |c: &'s Candidate| std::iter::once(c).chain(&c.others);
+        let present = *candidate;
+        let is_present = |c: &&Candidate| std::ptr::eq(*c, present);
+        let Some(all) = screen
+            .candidates
+            .iter()
+            .find(|c| shapes(c).any(|own| is_present(&own)))
+        else {
+            return Ok(());
+        };
+        for other in shapes(all).filter(|c| !is_present(c)) {
+            let Some(mut fit) = self.fitted_with(&[other], screen, FEW_ITERATIONS, watch)? else {
+                continue;
+            };
+            fit.improve(watch)?;
+            if fit.cost < own.cost {
+                (*own, *candidate) = (fit, other);
+            }
+        }
+        Ok(())
+    }
+
     /// Candidates to be fitted, best first; then what the catalogue says may be mistaken for the best: a screen is linear, and
     /// what turns gravity by much is not.
     pub(super) fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
@@ -371,11 +402,13 @@ mod tests {
         let machine = write(&base, law.effect, &law.place, &hidden).expect("written");
         let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"frictionloss\"\n";
         searching(&base, &machine.file, config, |search, watch| {
-            let screen = search.screen(watch).expect("screened").expect("whole");
+            let mut screen = search.screen(watch).expect("screened").expect("whole");
             let is_law = |c: &&Candidate| {
                 c.effect.about().name == "stribeck_friction" && c.place == law.place
             };
-            let expected = screen.candidates.iter().find(is_law).expect("a candidate");
+            let at = screen.candidates.iter().position(|c| is_law(&c));
+            let at = at.expect("a candidate");
+            let expected = screen.candidates[at].clone();
             assert!(!expected.others.is_empty());
             // more is expected than anything could bring
             let score = expected.score.clone().map(|own| Score {
@@ -392,6 +425,22 @@ mod tests {
             let (fitted, of) = begun.expect("follows");
             assert_eq!(of.values, expected.values);
             assert!(fitted.cost < search.cost);
+            // what is as good as expected gives way all the same
+            let crawl = Candidate {
+                score: expected.score.clone().map(|own| Score {
+                    gain: -9.0 * search.cost,
+                    ..own
+                }),
+                ..crawl
+            };
+            screen.candidates[at] = crawl;
+            let crawl = &screen.candidates[at];
+            let begun = search.begun(crawl, &screen, watch).expect("fitted");
+            let (mut fitted, mut of) = begun.expect("follows");
+            assert_eq!(of.values, crawl.values);
+            let (before, held) = (fitted.cost, (&mut fitted, &mut of));
+            search.other_shapes(held, &screen, watch).expect("fitted");
+            assert!(of.values == crawl.others[0].values && fitted.cost < before);
         });
     }
 
