@@ -282,7 +282,7 @@ impl Search<'_> {
     }
 
     /// Fits what was alike once more, beside all that was found since, and what looks alike now that all is found; keeps what
-    /// is alike, or exchanges what was chosen for it. `screen` is of the present model, `own_steps` what the cost is more
+    /// is alike, what is the same by another name ([`super::one_law`]) without a fit, or exchanges what was chosen for it. `screen` is of the present model, `own_steps` what the cost is more
     /// without steps. Whether anything was exchanged.
     ///
     /// # Errors
@@ -299,7 +299,7 @@ impl Search<'_> {
         let mut exchanged = false;
         for (i, mut asked) in look.into_iter().enumerate() {
             let known = std::mem::take(&mut self.evidence[i].alike);
-            let other = self.by_other_name(i);
+            let other = self.by_other_name(i)?;
             let is_other = |rival: &Rival| other.as_ref().is_some_and(|own| rival.is(own));
             let known: Vec<Rival> = known.into_iter().filter(|k| !is_other(k)).collect();
             asked.retain(|a| {
@@ -357,7 +357,7 @@ impl Search<'_> {
                 }
             }
             left.retain(Rival::is_alike);
-            let other = self.by_other_name(i).map(|own| Rival::of(&own, 0.0));
+            let other = self.by_other_name(i)?.map(|own| Rival::of(&own, 0.0));
             left.extend(match self.one_cause(i, watch)? {
                 None => other,
                 before => {

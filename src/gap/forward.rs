@@ -22,7 +22,7 @@ use super::name::APART;
 use super::owed::Owed;
 use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
-use super::search::{FEW_ITERATIONS, Fitted, Search};
+use super::search::{Fitted, Search};
 use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted before one is kept: a spring with a rest that no screen expects may be the tenth of them.
@@ -39,7 +39,7 @@ const LARGE: f64 = 0.1;
 /// Part of the best one's gain that a rival has.
 const NEAR: f64 = 0.2;
 /// Part of the best one's fall that rivals have after few iterations; of what is left, it is most.
-const LEADING: f64 = 0.5;
+pub(super) const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
 const OF_USE: f64 = 0.05;
 /// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
@@ -247,58 +247,6 @@ impl Search<'_> {
         Ok(fit.cost / own.max(fit.cost))
     }
 
-    /// A candidate in the model, the fit begun. Where that falls short of what the screen expects, other shapes are tried: how
-    /// dry friction changes with speed is not linear in anything.
-    pub(super) fn begun<'s>(
-        &self,
-        candidate: &'s Candidate,
-        screen: &Screen,
-        watch: &mut Watch<'_>,
-    ) -> Result<Option<(Fitted, &'s Candidate)>, GapError> {
-        let mut best: Option<(Fitted, &Candidate)> = None;
-        for c in std::iter::once(candidate).chain(&candidate.others) {
-            let Some(score) = &c.score else { continue };
-            let own = self.fitted_with(&[c], screen, FEW_ITERATIONS, watch)?;
-            best = (best.into_iter().chain(own.map(|own| (own, c))))
-                .min_by(|a, b| a.0.cost.total_cmp(&b.0.cost));
-            let enough = self.cost - LEADING * score.gain;
-            if best.as_ref().is_some_and(|b| b.0.cost <= enough) {
-                break;
-            }
-        }
-        Ok(best)
-    }
-
-    /// Takes another shape of a fitted candidate where that fits better: a speed of Stribeck's fall that is well below the true one
-    /// is no way from it.
-    fn other_shapes<'s>(
-        &self,
-        (own, candidate): (&mut Fitted, &mut &'s Candidate),
-        screen: &'s Screen,
-        watch: &mut Watch<'_>,
-    ) -> Result<(), GapError> {
-        let shapes = |c: &'s Candidate| std::iter::once(c).chain(&c.others);
-        let present = *candidate;
-        let is_present = |c: &&Candidate| std::ptr::eq(*c, present);
-        let Some(all) = screen
-            .candidates
-            .iter()
-            .find(|c| shapes(c).any(|own| is_present(&own)))
-        else {
-            return Ok(());
-        };
-        for other in shapes(all).filter(|c| !is_present(c)) {
-            let Some(mut fit) = self.fitted_with(&[other], screen, FEW_ITERATIONS, watch)? else {
-                continue;
-            };
-            fit.improve(watch)?;
-            if fit.cost < own.cost {
-                (*own, *candidate) = (fit, other);
-            }
-        }
-        Ok(())
-    }
-
     /// Candidates to be fitted, best first; then what the catalogue says may be mistaken for the best: a screen is linear, and
     /// what turns gravity by much is not.
     pub(super) fn rivals<'s>(&self, screen: &'s Screen) -> Vec<&'s Candidate> {
@@ -365,7 +313,7 @@ pub(super) fn tests(screen: &Screen) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::{Candidate, Held, Score, Tried, is_much};
+    use super::{Held, Tried, is_much};
     use crate::gap::effect::{ModelFile, write};
     use crate::gap::masses::{chosen, machine, searching};
 
@@ -390,57 +338,6 @@ mod tests {
             };
             let (there, here) = (cost(&step), cost(&[]));
             assert!(there < 0.01 * here, "{there} {here}");
-        });
-    }
-
-    /// Dry friction that falls with speed, taken first to do so within a crawl.
-    #[test]
-    fn what_one_shape_does_not_fit_another_may() {
-        let base = machine(r#"frictionloss=".15""#, "");
-        let hidden = [0.2, 0.0, 0.3];
-        let law = chosen(&base, "stribeck_friction", "a", &hidden);
-        let machine = write(&base, law.effect, &law.place, &hidden).expect("written");
-        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"frictionloss\"\n";
-        searching(&base, &machine.file, config, |search, watch| {
-            let mut screen = search.screen(watch).expect("screened").expect("whole");
-            let is_law = |c: &&Candidate| {
-                c.effect.about().name == "stribeck_friction" && c.place == law.place
-            };
-            let at = screen.candidates.iter().position(|c| is_law(&c));
-            let at = at.expect("a candidate");
-            let expected = screen.candidates[at].clone();
-            assert!(!expected.others.is_empty());
-            // more is expected than anything could bring
-            let score = expected.score.clone().map(|own| Score {
-                gain: 3.0 * search.cost,
-                ..own
-            });
-            let crawl = Candidate {
-                score,
-                values: vec![0.2, 0.0, 1e-5],
-                others: vec![expected.clone()],
-                ..expected.clone()
-            };
-            let begun = search.begun(&crawl, &screen, watch).expect("fitted");
-            let (fitted, of) = begun.expect("follows");
-            assert_eq!(of.values, expected.values);
-            assert!(fitted.cost < search.cost);
-            // what is as good as expected gives way all the same
-            let crawl = Candidate {
-                score: expected.score.clone().map(|own| Score {
-                    gain: -9.0 * search.cost,
-                    ..own
-                }),
-                ..crawl
-            };
-            screen.candidates[at] = crawl;
-            let crawl = &screen.candidates[at];
-            let begun = search.begun(crawl, &screen, watch).expect("fitted");
-            let (mut fitted, mut of) = begun.expect("follows");
-            assert_eq!(of.values, crawl.values);
-            let (before, held) = (fitted.cost, (&mut fitted, &mut of));
-            search.other_shapes(held, &screen, watch).expect("fitted");
-            assert!(of.values == crawl.others[0].values && fitted.cost < before);
         });
     }
 

@@ -53,6 +53,7 @@ mod score;
 mod screen;
 mod search;
 mod settle;
+mod shapes;
 mod stages;
 mod step;
 mod together;

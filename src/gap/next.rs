@@ -98,7 +98,7 @@ pub(super) fn experiment(
     };
     watch.stage(Stage::Name);
     let mut rivals: Vec<Fitted> = Vec::new();
-    let other = search.by_other_name(i); // which no motion tells from it
+    let other = search.by_other_name(i)?; // which no motion tells from it
     let mut class = effects[i].class.clone();
     class.retain(|name| {
         other

@@ -1,7 +1,7 @@
 //! Effects that are one law by two names.
 //!
 //! Dry friction that differs with direction holds a joint by anything between −(f + a) and f − a, and so does friction f beside an
-//! offset of −a. No motion tells them apart, whatever fits of a joint that sticks make of either. The other name belongs to the
+//! offset of −a, up to a = f: friction never drives. No motion tells them apart, whatever fits of a joint that sticks make of either. The other name belongs to the
 //! class at no distance, without a fit, and there is nothing to simulate. Where the friction was found, one cause of both is likelier
 //! than two that meet in a joint: the variety takes the offset's place, if it can be fitted as well.
 
@@ -10,16 +10,24 @@ use super::effect::{CATALOGUE, DRY, Effect, named};
 use super::model::Chosen;
 use super::name::APART;
 use super::search::Search;
-use super::{GapError, Watch};
+use super::{GapError, Watch, repair};
 
 impl Search<'_> {
-    /// Effect `i` by its other name, if it has one where it is.
-    pub(super) fn by_other_name(&self, i: usize) -> Option<Chosen> {
+    /// Effect `i` by its other name, if it has one where it is, in the size that it has.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn by_other_name(&self, i: usize) -> Result<Option<Chosen>, GapError> {
         let own = &self.chosen[i];
+        let Some(other) = self.other_name(own) else {
+            return Ok(None);
+        };
+        let fitted = repair::machine(&self.windows.problem, &self.x)?.model;
+        Ok((own.values[0].abs() <= own.place.dry_level(&fitted)).then_some(other))
+    }
+
+    fn other_name(&self, own: &Chosen) -> Option<Chosen> {
         let (model, place) = (&self.built.file.model, &own.place);
-        if !place.is_dry(model) {
-            return None;
-        }
         let by = |effect: &'static dyn Effect, size: f64| {
             let mut values = vec![0.0; effect.about().parameters.len()];
             *values.first_mut()? = size;
@@ -50,7 +58,7 @@ impl Search<'_> {
         i: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Rival>, GapError> {
-        let Some(variety) = self.by_other_name(i) else {
+        let Some(variety) = self.by_other_name(i)? else {
             return Ok(None);
         };
         if !variety.effect.about().is_variety() || !self.has(DRY, &variety.place) {
@@ -117,7 +125,27 @@ mod tests {
                 &[chosen(&base, "torque_offset", "a", &[0.05])],
                 watch,
             );
-            assert!(search.by_other_name(0).is_none());
+            assert!(search.by_other_name(0).expect("a model").is_none());
         });
+    }
+
+    /// Friction never drives, an offset larger than it does.
+    #[test]
+    fn large_offsets_tell() {
+        let base = machine(r#"frictionloss=".04""#, "");
+        for (size, is_one) in [(0.03, true), (0.05, false)] {
+            let law = chosen(&base, "torque_offset", "a", &[size]);
+            let hidden = crate::gap::effect::write(&base, law.effect, &law.place, &law.values);
+            searching(
+                &base,
+                &hidden.expect("written").file,
+                "",
+                |search, watch| {
+                    found(search, std::slice::from_ref(&law), watch);
+                    let other = search.by_other_name(0).expect("a model");
+                    assert_eq!(other.is_some(), is_one);
+                },
+            );
+        }
     }
 }

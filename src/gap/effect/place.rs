@@ -73,8 +73,13 @@ impl Place {
 
     /// Whether its joint has dry friction.
     pub(in crate::gap) fn is_dry(&self, model: &Model) -> bool {
+        self.dry_level(model) > 0.0
+    }
+
+    /// Dry friction of its joint, N m or N; 0 of what has none.
+    pub(in crate::gap) fn dry_level(&self, model: &Model) -> f64 {
         let friction = |joint: usize| model.dof_frictionloss()[model.jnt_dofadr()[joint] as usize];
-        self.joint(model).is_some_and(|joint| friction(joint) > 0.0)
+        self.joint(model).map_or(0.0, friction)
     }
 
     /// Its body: itself, that of its joint or geom.
