@@ -282,8 +282,8 @@ impl Search<'_> {
     }
 
     /// Fits what was alike once more, beside all that was found since, and what looks alike now that all is found; keeps what
-    /// is alike, what is the same by another name ([`super::one_law`]) without a fit, or exchanges what was chosen for it. `screen` is of the present model, `own_steps` what the cost is more
-    /// without steps. Whether anything was exchanged.
+    /// is alike, what is the same by another name ([`super::one_law`]) without a fit, or exchanges what was chosen for it.
+    /// `screen` is of the present model, `own_steps` what the cost is more without steps. Whether anything was exchanged.
     ///
     /// # Errors
     /// The engine refuses a number.
@@ -299,15 +299,12 @@ impl Search<'_> {
         let mut exchanged = false;
         for (i, mut asked) in look.into_iter().enumerate() {
             let known = std::mem::take(&mut self.evidence[i].alike);
-            let other = self.by_other_name(i)?;
-            let is_other = |rival: &Rival| other.as_ref().is_some_and(|own| rival.is(own));
-            let known: Vec<Rival> = known.into_iter().filter(|k| !is_other(k)).collect();
             asked.retain(|a| {
-                !is_other(a)
-                    && !known
-                        .iter()
-                        .any(|k| (&k.name, &k.place) == (&a.name, &a.place))
+                !known
+                    .iter()
+                    .any(|k| (&k.name, &k.place) == (&a.name, &a.place))
             });
+            let other = self.by_other_name(i)?;
             let (mut left, again) = if alone {
                 (known, Vec::new())
             } else {
@@ -321,8 +318,8 @@ impl Search<'_> {
                 let Some(instead) = rival.chosen() else {
                     continue;
                 };
-                if self.chosen.iter().any(|c| rival.is(c)) {
-                    continue; // it stands beside it
+                if self.chosen.iter().chain(&other).any(|c| rival.is(c)) {
+                    continue; // it stands beside it, or is the same
                 }
                 let effect = instead.effect;
                 let Some(mut fitted) = self.fitted_instead(i, instead, watch)? else {
@@ -356,15 +353,15 @@ impl Search<'_> {
                     });
                 }
             }
-            left.retain(Rival::is_alike);
-            let other = self.by_other_name(i)?.map(|own| Rival::of(&own, 0.0));
-            left.extend(match self.one_cause(i, watch)? {
-                None => other,
-                before => {
+            left.retain(|r| r.is_alike() && !other.iter().any(|own| r.is(own)));
+            if let Some(other) = self.by_other_name(i)? {
+                let own = self.chosen[i].clone();
+                let one = self.one_cause(i, &other, watch)?;
+                if one {
                     (own_steps, exchanged) = (None, true);
-                    before
                 }
-            });
+                left.push(Rival::of(if one { &own } else { &other }, 0.0));
+            }
             self.evidence[i].alike = left;
         }
         Ok(exchanged)

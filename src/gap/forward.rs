@@ -18,6 +18,7 @@ use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
 use super::held_out::{Held, both, falls, is_noise, unexplained};
+use super::inputs::is_wanted;
 use super::name::APART;
 use super::owed::Owed;
 use super::score::Score;
@@ -83,10 +84,7 @@ impl Search<'_> {
         screen: &'s Screen,
         keep: impl Fn(&Candidate, &Score) -> bool,
     ) -> Vec<(&'s Candidate, &'s Score)> {
-        let wanted = |c: &Candidate| {
-            let name = c.effect.about().name;
-            self.effects.is_empty() || self.effects.iter().any(|n| n == name)
-        };
+        let wanted = |c: &Candidate| is_wanted(&self.effects, c.effect.about().name);
         let mut found: Vec<(&Candidate, &Score)> = (screen.candidates.iter())
             .filter_map(|c| Some((c, c.score.as_ref()?)))
             .filter(|(c, s)| wanted(c) && c.sensible && s.visible >= LEAST_VISIBLE && keep(c, s))

@@ -46,6 +46,11 @@ pub(super) fn wanted(names: &[String], model: &Model) -> Result<Vec<String>, Gap
     Ok(wanted)
 }
 
+/// Whether an effect is among the names `only` to look for; none: all.
+pub(super) fn is_wanted(only: &[String], name: &str) -> bool {
+    only.is_empty() || only.iter().any(|n| n == name)
+}
+
 /// Every fitted parameter must show in the recordings, or have a prior.
 pub(super) fn excited(search: &Search<'_>) -> Result<(), GapError> {
     let parameters = &search.windows.problem.parameters;

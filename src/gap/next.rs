@@ -100,11 +100,7 @@ pub(super) fn experiment(
     let mut rivals: Vec<Fitted> = Vec::new();
     let other = search.by_other_name(i)?; // which no motion tells from it
     let mut class = effects[i].class.clone();
-    class.retain(|name| {
-        other
-            .as_ref()
-            .is_none_or(|own| own.effect.about().name != name)
-    });
+    class.retain(|name| !other.iter().any(|own| own.effect.about().name == name));
     for rival in name::class(search, screen, i) {
         if rivals.len() == RIVALS {
             break;
@@ -112,7 +108,7 @@ pub(super) fn experiment(
         let Some(instead) = rival.chosen() else {
             continue;
         };
-        if other.as_ref().is_some_and(|own| rival.is(own)) {
+        if other.iter().any(|own| rival.is(own)) {
             continue;
         }
         if let Some(mut fitted) = search.fitted_instead(i, instead, watch)? {

@@ -1,12 +1,14 @@
 //! Effects that are one law by two names.
 //!
 //! Dry friction that differs with direction holds a joint by anything between −(f + a) and f − a, and so does friction f beside an
-//! offset of −a, up to a = f: friction never drives. No motion tells them apart, whatever fits of a joint that sticks make of either. The other name belongs to the
-//! class at no distance, without a fit, and there is nothing to simulate. Where the friction was found, one cause of both is likelier
-//! than two that meet in a joint: the variety takes the offset's place, if it can be fitted as well.
+//! offset of −a, up to a = f: friction never drives. No motion tells them apart, whatever fits of a joint that sticks make of
+//! either. The other name belongs to the class at no distance, without a fit, and there is nothing to simulate. Where the friction was
+//! found, one cause of both is likelier than two that meet in a joint: the variety takes the offset's place, if it can be fitted
+//! as well.
 
-use super::alike::{Rival, apart, price};
+use super::alike::{apart, price};
 use super::effect::{CATALOGUE, DRY, Effect, named};
+use super::inputs::is_wanted;
 use super::model::Chosen;
 use super::name::APART;
 use super::search::Search;
@@ -26,13 +28,16 @@ impl Search<'_> {
         Ok((own.values[0].abs() <= own.place.dry_level(&fitted)).then_some(other))
     }
 
+    /// The same, however large it is.
     fn other_name(&self, own: &Chosen) -> Option<Chosen> {
         let (model, place) = (&self.built.file.model, &own.place);
+        if !place.is_dry(model) {
+            return None;
+        }
         let by = |effect: &'static dyn Effect, size: f64| {
             let mut values = vec![0.0; effect.about().parameters.len()];
             *values.first_mut()? = size;
-            let asked = self.effects.is_empty()
-                || (self.effects.iter()).any(|name| name == effect.about().name);
+            let asked = is_wanted(&self.effects, effect.about().name);
             (asked && effect.places(model).contains(place)).then(|| Chosen {
                 effect,
                 place: place.clone(),
@@ -49,30 +54,28 @@ impl Search<'_> {
         })
     }
 
-    /// Puts effect `i` and the dry friction that was found beside it down to one cause, if they have one; what it was called before.
+    /// Gives effect `i` its `other` name where that puts it and the dry friction that was found beside it down to one cause; whether
+    /// it did.
     ///
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn one_cause(
         &mut self,
         i: usize,
+        other: &Chosen,
         watch: &mut Watch<'_>,
-    ) -> Result<Option<Rival>, GapError> {
-        let Some(variety) = self.by_other_name(i)? else {
-            return Ok(None);
-        };
-        if !variety.effect.about().is_variety() || !self.has(DRY, &variety.place) {
-            return Ok(None);
+    ) -> Result<bool, GapError> {
+        if !other.effect.about().is_variety() || !self.has(DRY, &other.place) {
+            return Ok(false);
         }
-        let Some(fitted) = self.fitted_instead(i, variety, watch)? else {
-            return Ok(None);
+        let Some(fitted) = self.fitted_instead(i, other.clone(), watch)? else {
+            return Ok(false);
         };
-        if apart(price(fitted.cost, &fitted.x), price(self.cost, &self.x)) >= APART {
-            return Ok(None);
+        let is_as_good = apart(price(fitted.cost, &fitted.x), price(self.cost, &self.x)) < APART;
+        if is_as_good {
+            *self = self.settled_with(fitted, watch)?;
         }
-        let before = Rival::of(&self.chosen[i], 0.0);
-        *self = self.settled_with(fitted, watch)?;
-        Ok(Some(before))
+        Ok(is_as_good)
     }
 }
 

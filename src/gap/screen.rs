@@ -12,6 +12,7 @@ use super::GapError;
 use super::absorb::Absorb;
 use super::effect::{self, Effect, ModelFile, Place};
 use super::fit::information;
+use super::inputs::is_wanted;
 use super::linear::{Column, Linear};
 use super::model::{Built, Chosen, Measured, Variant, variants};
 use super::pulse::{self, Pulses};
@@ -57,6 +58,11 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
+    /// Itself and its other shapes.
+    pub(super) fn shapes(&self) -> impl Iterator<Item = &Self> {
+        std::iter::once(self).chain(&self.others)
+    }
+
     /// As it is expected.
     pub(super) fn chosen(&self) -> Chosen {
         self.with(self.values.clone())
@@ -200,7 +206,7 @@ impl Look<'_> {
     fn may_act(&self, effect: &dyn Effect, place: &Place) -> bool {
         let about = effect.about();
         // constant torques say where something is missing
-        let wanted = self.only.is_empty() || self.only.iter().any(|n| n == about.name);
+        let wanted = is_wanted(self.only, about.name);
         if !wanted && about.name != "torque_offset" {
             return false;
         }

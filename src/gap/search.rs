@@ -59,6 +59,8 @@ impl Limits {
 pub(super) const ITERATIONS: usize = 12;
 /// Iterations after which what is far behind, and falls no more, is given up.
 pub(super) const FEW_ITERATIONS: usize = 3;
+/// Times as many that a fit which still falls may take.
+const MORE: usize = 4;
 /// Iterations before shapes of a new effect are freed.
 const HELD_ITERATIONS: usize = 3;
 /// Chance that a kept effect is none, above which it goes.
@@ -343,11 +345,7 @@ impl<'a> Search<'a> {
             }
         }
         windows.problem = problem;
-        let most = if iterations < FEW_ITERATIONS {
-            iterations
-        } else {
-            ITERATIONS
-        };
+        let most = ITERATIONS.min(MORE * iterations);
         let going = &mut watch.fit_while_falling(iterations);
         let Some(fit) = sound(windows.fit(&x, most, going))? else {
             return Ok(None);

@@ -19,7 +19,7 @@ impl Search<'_> {
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Fitted, &'s Candidate)>, GapError> {
         let mut best: Option<(Fitted, &Candidate)> = None;
-        for c in std::iter::once(candidate).chain(&candidate.others) {
+        for c in candidate.shapes() {
             let Some(score) = &c.score else { continue };
             let own = self.fitted_with(&[c], screen, FEW_ITERATIONS, watch)?;
             best = (best.into_iter().chain(own.map(|own| (own, c))))
@@ -40,17 +40,14 @@ impl Search<'_> {
         screen: &'s Screen,
         watch: &mut Watch<'_>,
     ) -> Result<(), GapError> {
-        let shapes = |c: &'s Candidate| std::iter::once(c).chain(&c.others);
         let present = *candidate;
-        let is_present = |c: &&Candidate| std::ptr::eq(*c, present);
-        let Some(all) = screen
-            .candidates
-            .iter()
-            .find(|c| shapes(c).any(|own| is_present(&own)))
-        else {
+        let is_present = |c: &Candidate| std::ptr::eq(c, present);
+        let mut all = screen.candidates.iter();
+        let Some(own_shapes) = all.find(|c| c.shapes().any(is_present)) else {
             return Ok(());
         };
-        for other in shapes(all).filter(|c| c.score.is_some() && !is_present(c)) {
+        let others = own_shapes.shapes().filter(|c| !is_present(c));
+        for other in others.filter(|c| c.score.is_some()) {
             let Some(mut fit) = self.fitted_with(&[other], screen, FEW_ITERATIONS, watch)? else {
                 continue;
             };

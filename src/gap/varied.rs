@@ -13,6 +13,7 @@
 
 use super::alike::{self, Tried};
 use super::effect::{CATALOGUE, DRY};
+use super::inputs::is_wanted;
 use super::name::APART;
 use super::search::Search;
 use super::{GapError, Watch};
@@ -35,7 +36,7 @@ impl Search<'_> {
         let all = CATALOGUE.iter().map(|e| e.about());
         let varieties: Vec<String> = (all.filter(|about| about.is_variety()))
             .map(|about| about.name.to_owned())
-            .filter(|name| self.effects.is_empty() || self.effects.contains(name))
+            .filter(|name| is_wanted(&self.effects, name))
             .collect();
         if varieties.is_empty() {
             return Ok(None);

@@ -19,7 +19,8 @@ const SOFT: ([f64; 2], [f64; 3]) = ([0.02, 1.0], [0.9, 0.95, 0.001]);
 /// Impedance near 1, as far as solvers stay well behaved.
 const FIRM: &str = "0.99 0.99 0.001";
 /// What tells friction that differs with direction from an offset.
-pub(super) const UNLOADED: &str = "the same motions with the joint's friction gone, oiled or unloaded: an offset stays, and beside friction nothing tells";
+pub(super) const UNLOADED: &str = "the same motions with the joint's friction gone, oiled or unloaded: \
+     an offset stays, and beside friction nothing tells";
 const LEVEL: Parameter = Parameter::companion("level", Dimension::Force, [0.02, 0.5]);
 
 /// A dry joint's attributes with `level` more friction, and the number it is.

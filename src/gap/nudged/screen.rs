@@ -16,6 +16,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use super::judge::Judge;
 use super::refit::Fitted;
 use crate::gap::effect::{self, Effect, Place};
+use crate::gap::inputs::is_wanted;
 use crate::gap::model::{Chosen, Variant, variants};
 use crate::gap::{GapError, Stage, Watch};
 use crate::sysid::nudging::Ensemble;
@@ -240,9 +241,7 @@ type Looked = (Asked, Arc<[DVector<f64>]>);
 fn asked(judge: &Judge<'_>, only: &[String]) -> Vec<Asked> {
     let wanted = |effect: &dyn Effect| {
         let about = effect.about();
-        (only.is_empty() || only.iter().any(|n| n == about.name))
-            && !about.is_variety()
-            && effect.periodic().is_none()
+        is_wanted(only, about.name) && !about.is_variety() && effect.periodic().is_none()
     };
     let mut out = Vec::new();
     for (effect, place) in effect::candidates(&judge.base.model) {

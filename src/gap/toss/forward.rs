@@ -12,6 +12,7 @@ use super::judge::{Difference, Judge, Point, Seen, difference};
 use super::rest;
 use crate::gap::effect::{self, Effect, Place, Scales, Sign};
 use crate::gap::evidence::Evidence;
+use crate::gap::inputs::is_wanted;
 use crate::gap::model::{Chosen, variants};
 use crate::gap::search::Limits;
 use crate::gap::{GapError, Stage, Watch};
@@ -60,10 +61,8 @@ pub(super) fn candidates(judge: &Judge<'_>, chosen: &[Chosen], only: &[String]) 
     let wanted = |effect: &dyn Effect, place: &Place| {
         let about = effect.about();
         let taken = |c: &Chosen| c.effect.about().name == about.name && c.place == *place;
-        (only.is_empty() || only.iter().any(|n| n == about.name))
-            && !about.is_variety()
-            && !(about.name == rest::NAME && judge.ends.len() > 1)
-            && !chosen.iter().any(taken)
+        let known = about.name == rest::NAME && judge.ends.len() > 1;
+        is_wanted(only, about.name) && !about.is_variety() && !known && !chosen.iter().any(taken)
     };
     (effect::candidates(&judge.base.model).into_iter())
         .filter(|(e, p)| wanted(*e, p))

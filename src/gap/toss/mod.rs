@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 
 use super::effect::{Place, named};
 use super::evidence::Evidence;
-use super::inputs::wanted;
+use super::inputs::{is_wanted, wanted};
 use super::model::Chosen;
 use super::repair::{machine, repaired, rules};
 use super::result::{Answer, Located, Remaining, Tested, Untestable, Verdict};
@@ -274,7 +274,7 @@ fn size(
     notes: &mut Vec<String>,
 ) -> Result<Option<Size>, GapError> {
     let point = &polished.seen.point;
-    let wanted = options.effects.is_empty() || options.effects.iter().any(|n| n == rest::NAME);
+    let wanted = is_wanted(&options.effects, rest::NAME);
     let wanted = wanted && point.chosen.len() < options.max_effects;
     let found = rest::size(judge, point)?.filter(|s| wanted && s.counts(options.limits.family_p));
     let Some(size) = found else { return Ok(None) };
