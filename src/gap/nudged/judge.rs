@@ -32,6 +32,9 @@ const SIGMAS: f64 = 4.0;
 const LEAST_MOVED: f64 = 0.1;
 const MOST_MOVED: f64 = 1.0;
 
+/// s of the stretches of a motion that its speeds are means over.
+const STRETCH_S: f64 = 0.2;
+
 /// Training and held-out recordings with the base model's parameters.
 pub(super) struct Problems {
     pub train: Problem,
@@ -87,6 +90,17 @@ pub(super) struct Known {
     spread: f64,
 }
 
+/// The motions (knots × nq) of recordings in stretches of equal length: speeds and travels are those within a stretch and from
+/// one to another, while a recording as a whole may end where it begins.
+fn in_stretches(problem: &Problem) -> Vec<Vec<f64>> {
+    let model = &problem.model;
+    let size = ((STRETCH_S / model.timestep()).round() as usize).max(2) * model.nq();
+    let paths = problem.trials.iter().filter_map(|t| t.path.as_ref());
+    paths
+        .flat_map(|path| path.rows().chunks_exact(size).map(<[f64]>::to_vec))
+        .collect()
+}
+
 impl Known {
     fn is(&self, chosen: &Chosen, parameter: usize) -> bool {
         self.name == chosen.effect.about().name
@@ -120,9 +134,7 @@ impl<'a> Judge<'a> {
         hz: f64,
         (x, spreads): (&[f64], &[f64]),
     ) -> Result<Self, GapError> {
-        let motions: Vec<Vec<f64>> = (problems.train.trials.iter())
-            .filter_map(|t| Some(t.path.as_ref()?.rows().to_vec()))
-            .collect();
+        let motions = in_stretches(&problems.train);
         let course = |problem: &'a Problem| Course::new(problem, hz, x);
         Ok(Self {
             base: input.model,
@@ -330,5 +342,47 @@ impl<'a> Judge<'a> {
     /// The course of the held-out recordings, else of the training ones.
     pub(super) fn verifying(&self) -> &Course<'a> {
         self.held.as_ref().unwrap_or(&self.course)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Problems, in_stretches};
+    use crate::compare::Settings;
+    use crate::gap::masses::{chosen, machine, record};
+    use crate::gap::model::Measured;
+    use crate::gap::run::Input;
+    use crate::sysid::problem::ProblemConfig;
+
+    /// Sines that end anywhere.
+    #[test]
+    fn a_recording_goes_farther_than_from_its_begin_to_its_end() {
+        let base = machine("", "");
+        let (config, protocol) = (ProblemConfig::default(), Settings::default());
+        let train = [("sines".to_owned(), record(&base))];
+        let input = Input {
+            model: &base,
+            config: &config,
+            train: &train,
+            holdout: &[],
+            protocol: &protocol,
+        };
+        let problem = Problems::new(&input).expect("a problem").train;
+        let path = problem.trials[0].path.as_ref().expect("a path");
+        let q: Vec<f64> = path.rows().iter().step_by(2).copied().collect();
+        let h = base.model.timestep();
+        let speeds: Vec<f64> = q.windows(2).map(|q| (q[1] - q[0]) / h).collect();
+        let rms = (speeds.iter().map(|v| v * v).sum::<f64>() / speeds.len() as f64).sqrt();
+        let span = q.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+            - q.iter().copied().fold(f64::INFINITY, f64::min);
+        let measured = Measured::new(&problem, &[], &in_stretches(&problem)).expect("sizes");
+        let place = chosen(&base, "joint_spring", "a", &[1.0, 0.0]).place;
+        let scales = measured.scales(&base.model, &place);
+        assert!(
+            (scales.travel / span - 1.0).abs() < 0.1,
+            "{}",
+            scales.travel
+        );
+        assert!((scales.speed / rms - 1.0).abs() < 0.3, "{}", scales.speed);
     }
 }
