@@ -52,7 +52,7 @@ fn in_windows(
     keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
 ) -> Result<Option<Oracle>, GapError> {
-    let (whole, mut search) = run::begin(input, options, keeper, watch)?;
+    let (cuts, mut search) = run::begin(input, options, keeper, watch)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let levels = levels(effects, &search.built.file.model);
     add(&mut search, &levels, watch)?;
@@ -60,7 +60,9 @@ fn in_windows(
     if add(&mut search, effects, watch)? < effects.len() {
         return Ok(None);
     }
-    search.settle(watch)?;
+    if !search.lengthen(&cuts, watch)? {
+        search.settle(watch)?;
+    }
     let mut costs = Vec::new();
     for i in first..search.chosen.len() {
         let mut others = search.chosen.clone();
@@ -70,7 +72,7 @@ fn in_windows(
     let after = repair::machine(&search.windows.problem, &search.x)?;
     let sigma = |_: &str| None;
     let (holdout, seed) = (input.holdout, options.seed);
-    let protocol = verify::protocol(input, &whole, search.windows.length_s, &after.model);
+    let protocol = verify::protocol(input, &cuts.whole, search.windows.length_s, &after.model);
     let gap = verify::verify(&before, &after, holdout, &protocol, &sigma, seed)?;
     Ok(Some(Oracle {
         gap,

@@ -1,8 +1,8 @@
 //! Windows of other lengths, where something is missing that no effect explains.
 //!
-//! Long windows show slow effects, a drive's spring or a weak torque, but a model without a stop in the middle of the
-//! motion leaves them in a fraction of a second, and no change of it is then better than another. Where the verdict is
-//! `unknown` the search is made again in windows a quarter and twice as long. Its answer counts if it has another verdict and
+//! Long windows show slow effects, a drive's spring or a weak torque; in short ones, where a model is lost for some of the motion
+//! only ([`super::cuts`]), changes of it are better than others. Where the verdict is `unknown` the search is made again in
+//! windows a quarter and twice as long. Its answer counts if it has another verdict and
 //!
 //! ```text
 //! remaining after ≤ remaining before / 5

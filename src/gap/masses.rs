@@ -1,5 +1,6 @@
 //! Two masses with motors, for tests of the search.
 
+use super::cuts::Cuts;
 use super::effect::{ModelFile, candidates};
 use super::evidence::Evidence;
 use super::model::Chosen;
@@ -95,9 +96,30 @@ pub(super) fn searching(
 /// The same of a machine that is hammered in every third step, N.
 pub(super) fn searching_hammered(
     base: &ModelFile,
-    (hidden, hammer): (&ModelFile, f64),
+    hidden: (&ModelFile, f64),
     parameters: &str,
     then: impl FnOnce(&mut Search<'_>, &mut Watch<'_>),
+) {
+    begun(base, hidden, parameters, |search, _, watch| {
+        then(search, watch);
+    });
+}
+
+/// As [`searching`], with what windows are cut from.
+pub(super) fn searching_cut(
+    base: &ModelFile,
+    hidden: &ModelFile,
+    parameters: &str,
+    then: impl FnOnce(&mut Search<'_>, &Cuts, &mut Watch<'_>),
+) {
+    begun(base, (hidden, 0.0), parameters, then);
+}
+
+fn begun(
+    base: &ModelFile,
+    (hidden, hammer): (&ModelFile, f64),
+    parameters: &str,
+    then: impl FnOnce(&mut Search<'_>, &Cuts, &mut Watch<'_>),
 ) {
     let config = toml::from_str(&format!("command = \"held\"\n{parameters}"));
     let (config, protocol) = (config.expect("a configuration"), Settings::default());
@@ -112,7 +134,8 @@ pub(super) fn searching_hammered(
     let mut report = |_: Stage, _: &str, _: Option<f64>| true;
     let mut watch = Watch::new(&mut report);
     let begun = run::begin(&input, &Options::default(), &mut Nowhere, &mut watch);
-    then(&mut begun.expect("begun").1, &mut watch);
+    let (cuts, mut search) = begun.expect("begun");
+    then(&mut search, &cuts, &mut watch);
 }
 
 /// Makes a model with these effects, fitted, that of the search.

@@ -18,6 +18,7 @@ mod alike;
 mod band;
 mod base;
 mod coarse;
+mod cuts;
 pub mod diff;
 pub mod effect;
 mod elsewhere;

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::cuts::Cuts;
 use super::effect::ModelFile;
-use super::inputs::{excited, judged, same_channels, wanted};
+use super::inputs::{excited, wanted};
 use super::locate::Missing;
 use super::null::Null;
 use super::result::{Answer, Remaining, Tested, Verdict};
@@ -13,7 +14,6 @@ use super::screen::Screen;
 use super::search::{Limits, Search};
 use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
 use super::verify;
-use super::windows::{self, Windows};
 use super::{
     GapError, Report, Stage, Watch, left, lengths, name, next, nudged, repair, round_trip, toss,
     untestable,
@@ -21,7 +21,7 @@ use super::{
 use crate::compare::Settings;
 use crate::recording::Recording;
 use crate::sysid::parameter::ParameterRule;
-use crate::sysid::problem::{Problem, ProblemConfig};
+use crate::sysid::problem::ProblemConfig;
 
 /// Effects after which a search that explains little is given up, where there is another: the second may show that the
 /// first stood for it.
@@ -213,8 +213,8 @@ pub(super) fn at_length(
     enough: Option<f64>,
 ) -> Result<Option<Outcome>, GapError> {
     watch.note.clear();
-    let (whole, mut search) = begin(input, options, keeper, watch)?;
-    search.held_out = held_out(input, search.windows.length_s, options.most_windows)?;
+    let (cuts, mut search) = begin(input, options, keeper, watch)?;
+    search.held_out = cuts.held_out(search.windows.length_s)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let mut screen: Option<Screen> = None;
     let known: Option<Screened> = stages::load(keeper, "screen");
@@ -243,7 +243,7 @@ pub(super) fn at_length(
         let mut known = None;
         if let Some(step) = stages::load::<Step>(keeper, &name) {
             let more = !step.ended;
-            if step.restore(&mut search)? {
+            if step.restore(&mut search, &cuts)? {
                 (screen, known) = (None, Some(more));
             }
         }
@@ -251,6 +251,11 @@ pub(super) fn at_length(
             more
         } else {
             screen = search.forward(screen.take(), watch)?;
+            // what short windows do not show may show in longer ones
+            let longer = !search.chosen.is_empty() && search.lengthen(&cuts, watch)?;
+            if longer && screen.is_some() {
+                screen = search.forward(None, watch)?;
+            }
             let more = screen.is_none();
             if more {
                 search.delete(watch)?;
@@ -316,8 +321,8 @@ pub(super) fn at_length(
         &before,
         &after,
         input.holdout,
-        &verify::protocol(input, &whole, search.windows.length_s, &after.model),
-        &|channel| verify::noise(&whole, channel),
+        &verify::protocol(input, &cuts.whole, search.windows.length_s, &after.model),
+        &|channel| verify::noise(&cuts.whole, channel),
         options.seed,
     )?;
     if let Some(part) = by_steps.and_then(|change| search.part_of_steps(change)) {
@@ -357,7 +362,7 @@ pub(super) fn at_length(
     }))
 }
 
-/// The recordings as a whole, and the search with the base model fitted to their windows.
+/// The recordings, and the search with the base model fitted to their windows.
 ///
 /// # Errors
 /// Input that does not fit together.
@@ -366,48 +371,26 @@ pub(super) fn begin<'a>(
     options: &Options,
     keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
-) -> Result<(Problem, Search<'a>), GapError> {
+) -> Result<(Cuts, Search<'a>), GapError> {
     watch.stage(Stage::Fit);
     let effects = wanted(&options.effects, &input.model.model)?;
-    let config = judged(input)?;
-    let whole = Problem::new(Arc::clone(&input.model.model), &config, input.train)?;
-    same_channels(&whole, &config, input)?;
-    let length = options
-        .window_s
-        .unwrap_or_else(|| windows::length_s(&whole));
-    let start = whole.parameters.start();
-    let mut cut = Windows::cut(&whole, &start, length, options.most_windows)?;
-    let rules = &input.config.parameter;
+    let cuts = Cuts::new(input, options)?;
+    let of = (input.model, input.config.parameter.as_slice());
     let limits = (options.limits, effects);
     if let Some(known) = stages::load::<Fit>(keeper, "fit") {
+        let mut cut = cuts.train(known.length_s)?;
         let noise = cut.problem.channels.iter().map(|c| c.sigma).collect();
         if let Some(at) = known.restore(&mut cut) {
-            let of = (input.model, rules.as_slice());
-            return Ok((whole, Search::at(of, cut, limits, noise, at)?));
+            return Ok((cuts, Search::at(of, cut, limits, noise, at)?));
         }
     }
-    let of = (input.model, rules.as_slice());
-    let search = Search::new(of, cut, &limits, watch)?;
+    let mut search = Search::new(of, cuts.followed()?, &limits, watch)?;
+    search.lengthen(&cuts, watch)?;
     watch.go_on()?;
     excited(&search)?;
     let fit = Fit::of(&search.windows, &search.x, search.cost);
     stages::save(keeper, "fit", &fit);
-    Ok((whole, search))
-}
-
-/// Windows of the held-out recordings, if there are any.
-fn held_out(input: &Input<'_>, length_s: f64, most: usize) -> Result<Option<Windows>, GapError> {
-    if input.holdout.is_empty() {
-        return Ok(None);
-    }
-    let (model, config) = (Arc::clone(&input.model.model), judged(input)?);
-    // what cannot be estimated from is compared all the same
-    let Ok(problem) = Problem::new(model, &config, input.holdout) else {
-        return Ok(None);
-    };
-    let start = problem.parameters.start();
-    let most = most.div_ceil(2);
-    Ok(Some(Windows::cut(&problem, &start, length_s, most)?))
+    Ok((cuts, search))
 }
 
 /// `structure` is left, or `more` than was found is missing.

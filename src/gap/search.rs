@@ -118,7 +118,6 @@ impl<'a> Search<'a> {
         noise: Vec<f64>,
         (x, cost): (Vec<f64>, f64),
     ) -> Result<Self, GapError> {
-        let recording: Vec<usize> = windows.origin.iter().map(|o| o.0).collect();
         let measured = Measured::new(&windows.problem, &x, &windows.trajectories)?;
         Ok(Self {
             built: Built::new(base, rules, &[], &Measured::default())?,
@@ -126,7 +125,7 @@ impl<'a> Search<'a> {
             rules,
             limits,
             effects,
-            stretch_of: score::stretches(&recording, score::STRETCHES),
+            stretch_of: windows.stretches(),
             noise,
             measured,
             chosen: Vec::new(),

@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::GapError;
+use super::cuts::Cuts;
 use super::effect::{Place, named};
 use super::evidence::Evidence;
 use super::model::{Built, Chosen};
@@ -125,6 +126,8 @@ pub(super) struct Fit {
     trajectories: Vec<Vec<f64>>,
     sigma: Vec<f64>,
     factor: usize,
+    /// s of the windows
+    pub length_s: f64,
 }
 
 impl Fit {
@@ -138,6 +141,7 @@ impl Fit {
             trajectories: windows.trajectories.clone(),
             sigma: windows.problem.channels.iter().map(|c| c.sigma).collect(),
             factor: windows.factor,
+            length_s: windows.length_s,
         }
     }
 
@@ -195,7 +199,7 @@ impl Step {
     ///
     /// # Errors
     /// An effect cannot be written.
-    pub(super) fn restore(self, search: &mut Search<'_>) -> Result<bool, GapError> {
+    pub(super) fn restore(self, search: &mut Search<'_>, cuts: &Cuts) -> Result<bool, GapError> {
         let mut written = Vec::new();
         let mut chosen = Vec::new();
         for (name, place, before, after) in self.effects {
@@ -211,11 +215,16 @@ impl Step {
             chosen.push(of(after));
         }
         let built = Built::new(search.base, search.rules, &written, &search.measured)?;
-        let mut windows = search.windows.clone();
+        let length_s = self.fit.length_s;
+        let mut windows = cuts.train(length_s)?;
         windows.problem = built.problem(&windows.problem)?;
         let Some((x, cost)) = self.fit.restore(&mut windows) else {
             return Ok(false);
         };
+        if search.windows.length_s != length_s {
+            search.held_out = cuts.held_out(length_s)?;
+        }
+        search.stretch_of = windows.stretches();
         (search.built, search.windows, search.x, search.cost) = (built, windows, x, cost);
         (search.written, search.chosen) = (written, chosen);
         search.evidence = self.evidence;

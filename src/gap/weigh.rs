@@ -21,7 +21,6 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::fit::Fitted;
-use super::score;
 use super::windows::Windows;
 use crate::sysid::SysidError;
 
@@ -149,8 +148,7 @@ impl Windows {
         let rms: Vec<f64> = (squares.iter())
             .map(|(sum, n)| if *n > 0.0 { (sum / n).sqrt() } else { 1.0 })
             .collect();
-        let recording: Vec<usize> = self.origin.iter().map(|o| o.0).collect();
-        let stretch_of = score::stretches(&recording, score::STRETCHES);
+        let stretch_of = self.stretches();
         let n_stretches = stretch_of.iter().max().map_or(0, |m| m + 1);
         let np = x.len();
         let mut information = DMatrix::zeros(np, np);
@@ -212,7 +210,8 @@ fn repetition(mut information: DMatrix<f64>, gradients: &[DVector<f64>]) -> f64 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::masses::{machine, searching};
+    use crate::gap::base;
+    use crate::gap::masses::{machine, searching, searching_cut};
     use crate::gap::step::tests::{driven, model};
     use crate::sysid::problem::{Problem, ProblemConfig};
 
@@ -282,9 +281,17 @@ mod tests {
         }
         let hidden = machine(r#"damping=".2" armature="2" frictionloss=".1""#, "");
         let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"armature\"\nscale = \"linear\"\nprior_sigma = 0.09\n";
-        searching(&base, &hidden, config, |search, _| {
-            let farthest = search.windows.problem.parameters.farthest(&search.x);
-            assert!(farthest <= WELL, "{farthest}");
+        searching_cut(&base, &hidden, config, |search, cuts, watch| {
+            let farthest = |windows: &Windows, x: &[f64]| windows.problem.parameters.farthest(x);
+            // in windows that it does not follow, too
+            for length_s in [0.2, 0.4, 0.8] {
+                let long = cuts.train(length_s).expect("windows");
+                let (long, _, fit) = base::fit(long, watch).expect("a fit");
+                let farthest = farthest(&long, &fit.x);
+                assert!(farthest <= WELL, "{length_s} {farthest}");
+            }
+            let farthest = farthest(&search.windows, &search.x);
+            assert!(farthest <= HARDLY, "{farthest}");
         });
     }
 

@@ -17,6 +17,7 @@
 
 use super::coarse;
 use super::lying::Lying;
+use super::score;
 use crate::mujoco::Model;
 use crate::sysid::SysidError;
 use crate::sysid::holdout::hold;
@@ -194,6 +195,12 @@ impl Windows {
     /// Number of windows.
     pub(super) fn len(&self) -> usize {
         self.problem.trials.len()
+    }
+
+    /// The stretch of time that each is of.
+    pub(super) fn stretches(&self) -> Vec<usize> {
+        let recording: Vec<usize> = self.origin.iter().map(|o| o.0).collect();
+        score::stretches(&recording, score::STRETCHES)
     }
 
     /// The window that ends where window `w` begins, if there is one.

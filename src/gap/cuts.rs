@@ -1,0 +1,282 @@
+//! The recordings in windows that the model follows.
+//!
+//! A missing force f moves a joint of inertia M by f T²/M within a window of length T. Long windows show small forces best, and
+//! large ones not at all: where a light joint sticks, or ends at a stop, a model that lacks it leaves a window of 0.2 s by more
+//! than the joint ever moves, and derivatives there say nothing of the machine. How far a model is astray is
+//!
+//! ```text
+//! astray = max over channels  rms(ŝ − s)/sd(s)  ~ T²
+//! ```
+//!
+//! The base model is therefore fitted to windows that are shorter by as many halves as it takes, and windows are made longer again
+//! once an effect is found, as far as the model with it follows: then small effects beside a large one show.
+
+use std::sync::Arc;
+
+use super::inputs::{judged, same_channels};
+use super::run::{Input, Options};
+use super::search::Search;
+use super::windows::{self, Windows};
+use super::{GapError, Watch};
+use crate::sysid::SysidError;
+use crate::sysid::problem::{Problem, Stage};
+use crate::sysid::shooting::window::State;
+
+/// From where on a model is lost.
+const ASTRAY: f64 = 0.1;
+/// How far it shall be in windows that were made shorter.
+const NEAR: f64 = 0.006;
+/// Halves that a window is made shorter by at once, at most.
+const HALVES: f64 = 6.0;
+/// Readings of a channel that a shorter window has at least.
+const READINGS: f64 = 10.0;
+/// Noises by which a channel changes at least: what hardly moves is as far astray as its noise.
+const MOVES: f64 = 100.0;
+/// Factor by which windows that are made longer are longer at least.
+const LONGER: f64 = 1.5;
+
+/// Recordings to be cut into windows.
+pub(super) struct Cuts {
+    /// the training recordings
+    pub whole: Problem,
+    held_out: Option<Problem>,
+    most_windows: usize,
+    /// s of the windows that suit the readings
+    length_s: f64,
+    /// whether someone has chosen that
+    chosen: bool,
+}
+
+impl Cuts {
+    /// Of the recordings of `input`, in windows that `options` ask for or that suit the readings.
+    ///
+    /// # Errors
+    /// Input that does not fit together.
+    pub(super) fn new(input: &Input<'_>, options: &Options) -> Result<Self, GapError> {
+        let config = judged(input)?;
+        let of = |all| Problem::new(Arc::clone(&input.model.model), &config, all);
+        let whole = of(input.train)?;
+        same_channels(&whole, &config, input)?;
+        let none = input.holdout.is_empty();
+        Ok(Self {
+            length_s: (options.window_s).unwrap_or_else(|| windows::length_s(&whole)),
+            chosen: options.window_s.is_some(),
+            // what cannot be estimated from is compared all the same
+            held_out: (!none).then(|| of(input.holdout).ok()).flatten(),
+            most_windows: options.most_windows,
+            whole,
+        })
+    }
+
+    /// Windows of the training recordings.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn train(&self, length_s: f64) -> Result<Windows, SysidError> {
+        let start = self.whole.parameters.start();
+        Windows::cut(&self.whole, &start, length_s, self.most_windows)
+    }
+
+    /// Windows of the held-out recordings, if there are any.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn held_out(&self, length_s: f64) -> Result<Option<Windows>, SysidError> {
+        let cut = |problem: &Problem| {
+            let start = problem.parameters.start();
+            Windows::cut(problem, &start, length_s, self.most_windows.div_ceil(2))
+        };
+        self.held_out.as_ref().map(cut).transpose()
+    }
+
+    /// Windows of the training recordings that the base model follows from where its parameters start.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn followed(&self) -> Result<Windows, SysidError> {
+        let start = self.whole.parameters.start();
+        let noise: Vec<f64> = self.whole.channels.iter().map(|c| c.sigma).collect();
+        let mut windows = self.train(self.length_s)?;
+        if self.chosen {
+            return Ok(windows);
+        }
+        let mut astray = windows.astray(&start, &noise)?;
+        let least_s = READINGS * self.interval_s();
+        while astray >= ASTRAY {
+            let mut length_s = shorter(windows.length_s, astray);
+            while length_s < least_s {
+                length_s *= 2.0;
+            }
+            if length_s >= windows.length_s {
+                break;
+            }
+            let less = self.train(length_s)?;
+            let left = less.astray(&start, &noise)?;
+            // what does not grow with the length of windows is no force
+            if left >= astray * length_s / windows.length_s {
+                break;
+            }
+            (windows, astray) = (less, left);
+        }
+        Ok(windows)
+    }
+
+    /// s between readings of the channel that has fewest.
+    fn interval_s(&self) -> f64 {
+        let mut counts = vec![0_usize; self.whole.channels.len()];
+        for sample in self.whole.trials.iter().flat_map(|t| &t.samples) {
+            counts[sample.channel] += 1;
+        }
+        let steps: usize = self.whole.trials.iter().map(|t| t.n_knots - 1).sum();
+        let fewest = counts.into_iter().filter(|n| *n > 0).min().unwrap_or(1);
+        steps as f64 * self.whole.model.timestep() / fewest as f64
+    }
+}
+
+/// s of windows in which a model is likely to be near that is `astray` in windows of `length_s`.
+fn shorter(length_s: f64, astray: f64) -> f64 {
+    let halves = (0.5 * (astray / NEAR).log2()).ceil();
+    let halves = halves.clamp(1.0, HALVES);
+    length_s * (-halves).exp2()
+}
+
+impl Search<'_> {
+    /// Goes on in windows that are longer, if the model follows them; whether it does.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn lengthen(
+        &mut self,
+        cuts: &Cuts,
+        watch: &mut Watch<'_>,
+    ) -> Result<bool, GapError> {
+        let mut length_s = cuts.length_s;
+        while length_s >= LONGER * self.windows.length_s {
+            let windows = self.cut(cuts, length_s)?;
+            let astray = windows.astray(&self.x, &self.noise)?;
+            if astray < ASTRAY {
+                self.held_out = cuts.held_out(length_s)?;
+                self.stretch_of = windows.stretches();
+                self.windows = windows;
+                self.settle(watch)?;
+                return Ok(true);
+            }
+            length_s = shorter(length_s, astray);
+        }
+        Ok(false)
+    }
+
+    /// Windows of another length for the present model, first states as they were read.
+    fn cut(&self, cuts: &Cuts, length_s: f64) -> Result<Windows, GapError> {
+        let mut windows = cuts.train(length_s)?;
+        windows.problem = self.built.problem(&windows.problem)?;
+        let channels = windows.problem.channels.iter_mut();
+        for (channel, own) in channels.zip(&self.windows.problem.channels) {
+            channel.sigma = own.sigma;
+        }
+        Ok(windows)
+    }
+}
+
+impl Windows {
+    /// First states as they were measured, of each window that from which the model stays nearer to its readings.
+    fn likely_states(&self, x: &[f64]) -> Result<Vec<State>, SysidError> {
+        let all: Vec<usize> = (0..self.len()).collect();
+        let mut best = self.states.clone();
+        let mut least = vec![f64::INFINITY; self.len()];
+        for way in &self.measured {
+            let found = self.simulate_some(x, way, &all)?;
+            for (w, found) in found.into_iter().enumerate() {
+                if let Some(found) = found.filter(|f| f.cost < least[w]) {
+                    (least[w], best[w]) = (found.cost, found.state);
+                }
+            }
+        }
+        Ok(best)
+    }
+
+    /// How far a model with parameters `x` leaves the motion, see the module, `noise` being that of every channel; where it does
+    /// not get through, infinitely far.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    fn astray(&self, x: &[f64], noise: &[f64]) -> Result<f64, SysidError> {
+        let mut own = self.clone();
+        own.choose_step(x)?;
+        own.states = own.likely_states(x)?;
+        let linear = match own.linearise(x) {
+            Ok(linear) => linear,
+            Err(SysidError::Mujoco(error)) => return Err(error.into()),
+            Err(_) => return Ok(f64::INFINITY),
+        };
+        let channels = &self.problem.channels;
+        let mut readings = vec![[0.0; 3]; channels.len()];
+        for sample in self.problem.trials.iter().flat_map(|t| &t.samples) {
+            let own = [1.0, sample.value, sample.value.powi(2)];
+            for (sum, own) in readings[sample.channel].iter_mut().zip(own) {
+                *sum += own;
+            }
+        }
+        let deviations = linear.by_channel(linear.rows.iter().map(|row| &row.residual));
+        let each = (channels.iter().zip(noise)).zip(readings.into_iter().zip(deviations));
+        let positions =
+            each.filter(|((c, _), (sums, _))| c.stage == Stage::Position && sums[0] > 0.0);
+        Ok(positions
+            .map(|((c, noise), ([n, sum, squares], deviations))| {
+                let variance = (squares / n - (sum / n).powi(2)).max(0.0);
+                let moves = variance.sqrt().max(MOVES * noise);
+                c.sigma * (deviations / n).sqrt() / moves
+            })
+            .fold(0.0, f64::max))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{ASTRAY, NEAR, shorter};
+    use crate::gap::effect::write;
+    use crate::gap::masses::{chosen, found, machine, searching_cut};
+
+    const CONFIG: &str = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"armature\"\nscale = \"linear\"\n\
+                          prior_sigma = 0.02\n";
+
+    #[test]
+    fn windows_are_halved_until_little_is_astray() {
+        let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        assert!(near(shorter(0.2, 4.0 * NEAR), 0.1) && near(shorter(0.2, 15.0 * NEAR), 0.05));
+        // whatever comes next is shorter
+        assert!(near(shorter(0.2, 0.1 * NEAR), 0.1));
+        assert!(shorter(0.2, ASTRAY) < 0.1);
+        assert!(shorter(0.2, f64::INFINITY) > 0.0);
+    }
+
+    /// A spring under which a mass goes to and fro several times in a window.
+    #[test]
+    fn windows_are_as_long_as_the_model_follows() {
+        let base = machine("", "");
+        let spring = chosen(&base, "joint_spring", "a", &[600.0, 0.0]);
+        let hidden = write(&base, spring.effect, &spring.place, &spring.values).expect("written");
+        searching_cut(&base, &hidden.file, CONFIG, |search, cuts, watch| {
+            let short_s = search.windows.length_s;
+            assert!(short_s < 0.5 * cuts.length_s, "{short_s}");
+            assert!(short_s >= super::READINGS * cuts.interval_s());
+            assert!(!search.lengthen(cuts, watch).expect("looked at"));
+            assert_eq!(search.windows.length_s, short_s);
+            found(search, std::slice::from_ref(&spring), watch);
+            assert!(search.lengthen(cuts, watch).expect("looked at"));
+            assert_eq!(search.windows.length_s, cuts.length_s);
+            assert_eq!(search.stretch_of.len(), search.windows.len());
+            let stiffness = search.chosen[0].values[0];
+            assert!((stiffness / 600.0 - 1.0).abs() < 1e-3, "{stiffness}");
+        });
+    }
+
+    #[test]
+    fn what_a_model_follows_stays_as_it_suits_the_readings() {
+        let base = machine("", "");
+        let light = machine("", r#"armature=".05" damping=".2""#);
+        searching_cut(&base, &light, CONFIG, |search, cuts, _| {
+            assert_eq!(search.windows.length_s, cuts.length_s);
+        });
+    }
+}
