@@ -9,7 +9,9 @@
 //! ```
 //!
 //! The base model is therefore fitted to windows that are shorter by as many halves as it takes, and windows are made longer again
-//! once an effect is found, as far as the model with it follows: then small effects beside a large one show.
+//! once an effect is found, as far as the model with it follows: then small effects beside a large one show. What does not bring
+//! the model to follow is not what is missing, however well it fits in short windows: readings that are late by most of one
+//! are there whatever the model does.
 
 use std::sync::Arc;
 
@@ -42,7 +44,7 @@ pub(super) struct Cuts {
     held_out: Option<Problem>,
     most_windows: usize,
     /// s of the windows that suit the readings
-    length_s: f64,
+    pub length_s: f64,
     /// whether someone has chosen that
     chosen: bool,
 }

@@ -1,8 +1,9 @@
 //! Windows of other lengths, where something is missing that no effect explains.
 //!
 //! Long windows show slow effects, a drive's spring or a weak torque; in short ones, where a model is lost for some of the motion
-//! only ([`super::cuts`]), changes of it are better than others. Where the verdict is `unknown` the search is made again in
-//! windows a quarter and twice as long. Its answer counts if it has another verdict and
+//! only ([`super::cuts`]), changes of it are better than others. Where the verdict is `unknown` the search is made again: in windows
+//! of the length that suits the readings, if the model has been lost in these throughout, and then in windows a quarter and twice
+//! as long. The answer of the latter counts if it has another verdict and
 //!
 //! ```text
 //! remaining after ≤ remaining before / 5
@@ -10,6 +11,7 @@
 //!
 //! ([`super::left`]), and it goes on after two effects only if they take as much.
 
+use super::cuts::Cuts;
 use super::result::Verdict;
 use super::run::{self, Input, Options, Outcome};
 use super::stages::{Keeper, Prefixed};
@@ -30,32 +32,54 @@ pub(super) fn search(
     keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, GapError> {
-    let first = run::at_length(input, options, keeper, watch, None)?.ok_or(GapError::Stopped)?;
-    let measured = first.answer.remaining.after.is_some();
-    if first.answer.verdict != Verdict::Unknown || options.window_s.is_some() || !measured {
+    let mut first =
+        run::at_length(input, options, keeper, watch, None)?.ok_or(GapError::Stopped)?;
+    if first.answer.verdict != Verdict::Unknown || options.window_s.is_some() {
+        return Ok(first);
+    }
+    let suits_s = Cuts::new(input, options)?.length_s;
+    if first.answer.window_s < suits_s
+        && let Some(other) = at(suits_s, (input, options), keeper, watch, None)?
+    {
+        first = other;
+    }
+    if first.answer.verdict != Verdict::Unknown || first.answer.remaining.after.is_none() {
         return Ok(first);
     }
     for multiple in MULTIPLES {
-        let length = multiple * first.answer.window_s;
-        let options = Options {
-            window_s: Some(length),
-            ..options.clone()
-        };
-        let mut own = Prefixed {
-            keeper: &mut *keeper,
-            prefix: format!("{length}s-"),
-        };
-        watch.windows = format!("windows of {length} s");
-        let again = run::at_length(input, &options, &mut own, watch, Some(CLEAR));
-        watch.windows.clear();
-        match again {
-            Ok(Some(other)) if clear(&other) => return Ok(other),
-            Err(GapError::Stopped) => return Err(GapError::Stopped),
-            // no window of this length can be simulated, or none explains more
-            _ => {}
+        let length_s = multiple * suits_s;
+        if let Some(other) = at(length_s, (input, options), keeper, watch, Some(CLEAR))?
+            && clear(&other)
+        {
+            return Ok(other);
         }
     }
     Ok(first)
+}
+
+/// The search in windows of `length_s`; nothing if none of these can be simulated, or if it does not take what is `enough`.
+fn at(
+    length_s: f64,
+    (input, options): (&Input<'_>, &Options),
+    keeper: &mut dyn Keeper,
+    watch: &mut Watch<'_>,
+    enough: Option<f64>,
+) -> Result<Option<Outcome>, GapError> {
+    let options = Options {
+        window_s: Some(length_s),
+        ..options.clone()
+    };
+    let mut own = Prefixed {
+        keeper,
+        prefix: format!("{length_s}s-"),
+    };
+    watch.windows = format!("windows of {length_s} s");
+    let again = run::at_length(input, &options, &mut own, watch, enough);
+    watch.windows.clear();
+    match again {
+        Err(GapError::Stopped) => Err(GapError::Stopped),
+        other => Ok(other.ok().flatten()),
+    }
 }
 
 fn clear(outcome: &Outcome) -> bool {

@@ -332,7 +332,9 @@ pub(super) fn at_length(
             100.0 * part
         ));
     }
-    let verdict = verdict(&effects, !rest.is_empty(), much || left::law(&rest));
+    let lost = search.windows.length_s < cuts.length_s;
+    let more = lost || much || left::law(&rest);
+    let verdict = verdict(&effects, !rest.is_empty(), more);
     let found = (&*effects, &*untestable);
     let next_experiment = next::experiment(&search, screen, found, watch)?;
     let (built, problem) = (&search.built, &search.windows.problem);
