@@ -17,7 +17,7 @@ use super::run::{self, Input, Options, Outcome};
 use super::stages::{Keeper, Prefixed};
 use super::{GapError, Watch};
 
-/// Lengths that are tried, as multiples of the first.
+/// Lengths that are tried, as multiples of the one that suits the readings.
 const MULTIPLES: [f64; 2] = [0.25, 2.0];
 /// Part of the readings' misfit that a clear answer leaves.
 const CLEAR: f64 = 0.2;
