@@ -63,7 +63,7 @@ pub(super) fn fit(
     mut windows: Windows,
     watch: &mut Watch<'_>,
 ) -> Result<(Windows, Vec<f64>, Fitted), GapError> {
-    let noise: Vec<f64> = windows.problem.channels.iter().map(|c| c.sigma).collect();
+    let noise = windows.problem.sigma();
     let start = windows.problem.parameters.start();
     windows.choose_step(&start)?;
     windows.followed(&start)?;

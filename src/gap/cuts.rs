@@ -59,12 +59,16 @@ impl Cuts {
         let of = |all| Problem::new(Arc::clone(&input.model.model), &config, all);
         let whole = of(input.train)?;
         same_channels(&whole, &config, input)?;
-        let none = input.holdout.is_empty();
+        // what cannot be estimated from is compared all the same
+        let held_out = if input.holdout.is_empty() {
+            None
+        } else {
+            of(input.holdout).ok()
+        };
         Ok(Self {
             length_s: (options.window_s).unwrap_or_else(|| windows::length_s(&whole)),
             chosen: options.window_s.is_some(),
-            // what cannot be estimated from is compared all the same
-            held_out: (!none).then(|| of(input.holdout).ok()).flatten(),
+            held_out,
             most_windows: options.most_windows,
             whole,
         })
@@ -97,7 +101,7 @@ impl Cuts {
     /// The engine refuses a number.
     pub(super) fn followed(&self) -> Result<Windows, SysidError> {
         let start = self.whole.parameters.start();
-        let noise: Vec<f64> = self.whole.channels.iter().map(|c| c.sigma).collect();
+        let noise = self.whole.sigma();
         let mut windows = self.train(self.length_s)?;
         if self.chosen {
             return Ok(windows);
@@ -138,8 +142,7 @@ impl Cuts {
 /// s of windows in which a model is likely to be near that is `astray` in windows of `length_s`.
 fn shorter(length_s: f64, astray: f64) -> f64 {
     let halves = (0.5 * (astray / NEAR).log2()).ceil();
-    let halves = halves.clamp(1.0, HALVES);
-    length_s * (-halves).exp2()
+    length_s * (-halves.clamp(1.0, HALVES)).exp2()
 }
 
 impl Search<'_> {
@@ -157,15 +160,26 @@ impl Search<'_> {
             let windows = self.cut(cuts, length_s)?;
             let astray = windows.astray(&self.x, &self.noise)?;
             if astray < ASTRAY {
-                self.held_out = cuts.held_out(length_s)?;
-                self.stretch_of = windows.stretches();
-                self.windows = windows;
+                self.go_on_in(windows, cuts)?;
                 self.settle(watch)?;
                 return Ok(true);
             }
             length_s = shorter(length_s, astray);
         }
         Ok(false)
+    }
+
+    /// Takes other windows, and of the held-out recordings those of their length.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn go_on_in(&mut self, windows: Windows, cuts: &Cuts) -> Result<(), GapError> {
+        if self.windows.length_s != windows.length_s {
+            self.held_out = cuts.held_out(windows.length_s)?;
+        }
+        self.stretch_of = windows.stretches();
+        self.windows = windows;
+        Ok(())
     }
 
     /// Windows of another length for the present model, first states as they were read.
@@ -184,17 +198,14 @@ impl Windows {
     /// First states as they were measured, of each window that from which the model stays nearer to its readings.
     fn likely_states(&self, x: &[f64]) -> Result<Vec<State>, SysidError> {
         let all: Vec<usize> = (0..self.len()).collect();
-        let mut best = self.states.clone();
-        let mut least = vec![f64::INFINITY; self.len()];
+        let mut best = vec![None; self.len()];
         for way in &self.measured {
-            let found = self.simulate_some(x, way, &all)?;
-            for (w, found) in found.into_iter().enumerate() {
-                if let Some(found) = found.filter(|f| f.cost < least[w]) {
-                    (least[w], best[w]) = (found.cost, found.state);
-                }
-            }
+            self.nearer(x, way, &all, &mut best)?;
         }
-        Ok(best)
+        let each = best.into_iter().zip(&self.states);
+        Ok(each
+            .map(|(best, state)| best.map_or_else(|| state.clone(), |own| own.state))
+            .collect())
     }
 
     /// How far a model with parameters `x` leaves the motion, see the module, `noise` being that of every channel; where it does

@@ -280,15 +280,8 @@ impl Windows {
                 .map(|(f, ds)| f.state.moved(&self.problem, (ds * part).as_slice()))
                 .collect::<Result<Vec<_>, _>>()?;
             // a step may leave what the engine accepts: then it is none
-            let Ok(found) = self.simulate_some(x, &states, &left) else {
+            if self.nearer(x, &states, &left, &mut best).is_err() {
                 return Ok(None);
-            };
-            for (&w, found) in left.iter().zip(found) {
-                if let Some(found) = found
-                    && best[w].as_ref().is_none_or(|b| found.cost < b.cost)
-                {
-                    best[w] = Some(found);
-                }
             }
             left.retain(|&w| best[w].as_ref().is_none_or(|b| b.cost > here[w].cost));
             if left.is_empty() {
@@ -296,6 +289,28 @@ impl Windows {
             }
         }
         Ok(best.into_iter().collect())
+    }
+
+    /// Simulates the windows `some` from `states` and keeps of each what is nearer to its readings than the `best` yet.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn nearer(
+        &self,
+        x: &[f64],
+        states: &[State],
+        some: &[usize],
+        best: &mut [Option<Followed>],
+    ) -> Result<(), SysidError> {
+        let found = self.simulate_some(x, states, some)?;
+        for (&w, found) in some.iter().zip(found) {
+            if let Some(found) = found
+                && best[w].as_ref().is_none_or(|b| found.cost < b.cost)
+            {
+                best[w] = Some(found);
+            }
+        }
+        Ok(())
     }
 
     fn step(&self, linear: &Linear, normal: &DMatrix<f64>, x: &[f64], here: &[Followed]) -> Step {

@@ -381,7 +381,7 @@ pub(super) fn begin<'a>(
     let limits = (options.limits, effects);
     if let Some(known) = stages::load::<Fit>(keeper, "fit") {
         let mut cut = cuts.train(known.length_s)?;
-        let noise = cut.problem.channels.iter().map(|c| c.sigma).collect();
+        let noise = cut.problem.sigma();
         if let Some(at) = known.restore(&mut cut) {
             return Ok((cuts, Search::at(of, cut, limits, noise, at)?));
         }

@@ -139,7 +139,7 @@ impl Fit {
             origin: windows.origin.clone(),
             states: windows.states.iter().map(state).collect(),
             trajectories: windows.trajectories.clone(),
-            sigma: windows.problem.channels.iter().map(|c| c.sigma).collect(),
+            sigma: windows.problem.sigma(),
             factor: windows.factor,
             length_s: windows.length_s,
         }
@@ -215,17 +215,13 @@ impl Step {
             chosen.push(of(after));
         }
         let built = Built::new(search.base, search.rules, &written, &search.measured)?;
-        let length_s = self.fit.length_s;
-        let mut windows = cuts.train(length_s)?;
+        let mut windows = cuts.train(self.fit.length_s)?;
         windows.problem = built.problem(&windows.problem)?;
         let Some((x, cost)) = self.fit.restore(&mut windows) else {
             return Ok(false);
         };
-        if search.windows.length_s != length_s {
-            search.held_out = cuts.held_out(length_s)?;
-        }
-        search.stretch_of = windows.stretches();
-        (search.built, search.windows, search.x, search.cost) = (built, windows, x, cost);
+        search.go_on_in(windows, cuts)?;
+        (search.built, search.x, search.cost) = (built, x, cost);
         (search.written, search.chosen) = (written, chosen);
         search.evidence = self.evidence;
         Ok(true)

@@ -246,6 +246,7 @@ mod tests {
     /// a base fit then leaves, however far off the rotor is.
     #[test]
     fn what_hardly_can_be_is_not_while_something_is_missing() {
+        let farthest = |windows: &Windows, x: &[f64]| windows.problem.parameters.farthest(x);
         let base = machine(r#"damping=".2""#, "");
         for (friction, sigma, most) in [
             ("", 0.1, f64::INFINITY),
@@ -257,8 +258,6 @@ mod tests {
                  prior_sigma = {sigma}\n"
             );
             searching(&base, &hidden, &config, |search, _| {
-                let farthest =
-                    |windows: &Windows, x: &[f64]| windows.problem.parameters.farthest(x);
                 // the base model's
                 let of_base = farthest(&search.windows, &search.x);
                 assert!((of_base > HARDLY) == friction.is_empty(), "{of_base}");
@@ -282,7 +281,6 @@ mod tests {
         let hidden = machine(r#"damping=".2" armature="2" frictionloss=".1""#, "");
         let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"armature\"\nscale = \"linear\"\nprior_sigma = 0.09\n";
         searching_cut(&base, &hidden, config, |search, cuts, watch| {
-            let farthest = |windows: &Windows, x: &[f64]| windows.problem.parameters.farthest(x);
             // in windows that it does not follow, too
             for length_s in [0.2, 0.4, 0.8] {
                 let long = cuts.train(length_s).expect("windows");

@@ -186,6 +186,11 @@ pub struct Problem {
 const FORCE_SIGMA_RELATIVE: f64 = 0.01;
 
 impl Problem {
+    /// Standard deviation of every channel.
+    pub(crate) fn sigma(&self) -> Vec<f64> {
+        self.channels.iter().map(|c| c.sigma).collect()
+    }
+
     /// Binds recordings to a model. `names` has one name a recording.
     ///
     /// # Errors
