@@ -331,7 +331,8 @@ mod tests {
             let gain = gains.next().expect("a candidate");
             let step = screen.normal.step(&gain.columns);
             let mut cost = |step: &[f64]| {
-                let fitted = search.fitted_after(step, &[gain.chosen()], 0, watch);
+                let from = Some((step, &screen.linear));
+                let fitted = search.fitted_after(from, &[gain.chosen()], 0, watch);
                 fitted.expect("fitted").expect("follows").cost
             };
             let (there, here) = (cost(&step), cost(&[]));

@@ -12,7 +12,6 @@ use nalgebra::DVector;
 
 use super::effect::{ModelFile, Place};
 use super::evidence::Evidence;
-use super::fit;
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
@@ -279,7 +278,7 @@ impl<'a> Search<'a> {
         iterations: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
-        self.fitted_after(&[], chosen, iterations, watch)
+        self.fitted_after(None, chosen, iterations, watch)
     }
 
     /// The present model with more effects, as the screen of it expects them and all parameters with them.
@@ -297,15 +296,15 @@ impl<'a> Search<'a> {
             .flat_map(|c| c.columns.iter().copied())
             .collect();
         let step = screen.normal.step(&columns);
-        self.fitted_after(&step, &chosen, iterations, watch)
+        self.fitted_after(Some((&step, &screen.linear)), &chosen, iterations, watch)
     }
 
-    /// As [`Search::fitted`] with a fit that starts after a `step` of the base model's parameters: where they stood for an
+    /// As [`Search::fitted`] with a fit that starts after a step of the base model's parameters: where they stood for an
     /// effect to one part in a thousand, as masses do for a motor's gain, the model is far from all recordings until they
-    /// give way.
+    /// give way. First states follow by the present model's derivatives: where a joint now sticks they would lead astray.
     pub(super) fn fitted_after(
         &self,
-        step: &[f64],
+        step: Option<(&[f64], &Linear)>,
         chosen: &[Chosen],
         iterations: usize,
         watch: &mut Watch<'_>,
@@ -317,23 +316,30 @@ impl<'a> Search<'a> {
         let Ok(problem) = built.problem(&windows.problem) else {
             return Ok(None);
         };
+        windows.problem = problem;
         let n_base =
             self.windows.problem.parameters.len() - self.built.free(&self.windows.problem).len();
-        let mut x = problem.parameters.start();
+        let mut x = windows.problem.parameters.start();
         x[..n_base].copy_from_slice(&self.x[..n_base]);
-        let reach = self.windows.problem.parameters.reach(&self.x);
-        for ((x, d), (low, high)) in x[..n_base].iter_mut().zip(step).zip(reach) {
-            *x += d.max(low).min(high);
+        if let Some((step, linear)) = step {
+            let reach = self.windows.problem.parameters.reach(&self.x);
+            for ((x, d), (low, high)) in x[..n_base].iter_mut().zip(step).zip(reach) {
+                *x += d.max(low).min(high);
+            }
+            if sound(windows.move_states(&x, linear))?.is_none() {
+                return Ok(None);
+            }
         }
         let new = |c: &Chosen| !self.has(c.effect.about().name, &c.place);
         if let Some(held) = built.holding_shapes(chosen, new) {
-            let Ok(some) = held.problem(&windows.problem) else {
+            let Ok(some) = held.problem(&self.windows.problem) else {
                 return Ok(None);
             };
-            let free = &problem.parameters.free;
-            let of = |f: &usize| free.iter().position(|own| own == f);
-            let own: Vec<usize> = some.parameters.free.iter().filter_map(of).collect();
-            windows.problem = some;
+            let whole = std::mem::replace(&mut windows.problem, some);
+            let of = |f: &usize| whole.parameters.free.iter().position(|own| own == f);
+            let own: Vec<usize> = (windows.problem.parameters.free.iter())
+                .filter_map(of)
+                .collect();
             let from: Vec<f64> = own.iter().map(|i| x[*i]).collect();
             let Some(fit) = sound(windows.fit(&from, HELD_ITERATIONS, &mut watch.fit_nearly()))?
             else {
@@ -342,8 +348,8 @@ impl<'a> Search<'a> {
             for (i, value) in own.into_iter().zip(fit.x) {
                 x[i] = value;
             }
+            windows.problem = whole;
         }
-        windows.problem = problem;
         let most = ITERATIONS.min(MORE * iterations);
         let going = &mut watch.fit_while_falling(iterations);
         let Some(fit) = sound(windows.fit(&x, most, going))? else {
@@ -407,10 +413,10 @@ impl<'a> Search<'a> {
     }
 }
 
-/// What came of a fit; nothing where the model follows no window.
-pub(super) fn sound(fit: Result<fit::Fitted, SysidError>) -> Result<Option<fit::Fitted>, GapError> {
-    match fit {
-        Ok(fit) => Ok(Some(fit)),
+/// What came of windows; nothing where the model follows none.
+pub(super) fn sound<T>(of: Result<T, SysidError>) -> Result<Option<T>, GapError> {
+    match of {
+        Ok(of) => Ok(Some(of)),
         Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
         Err(_) => Ok(None),
     }

@@ -13,7 +13,7 @@
 //! before it ends, if that is nearer.
 
 use super::fit::Followed;
-use super::linear::{Linear, Row, damped};
+use super::linear::{Linear, damped};
 use super::windows::Windows;
 use crate::sysid::shooting::window::State;
 
@@ -35,12 +35,11 @@ impl Windows {
         let mean = total / here.len() as f64;
         let enough = SETTLED * mean;
         // what the state could take off, were the window linear
-        let left_in = |row: &Row, f: &Followed| row.basis.tr_mul(&f.weighted(row));
         let mut left: Vec<usize> = (0..here.len())
             .filter(|&w| {
                 let row = &linear.rows[w];
                 let same = row.weight.len() == here[w].residual.len();
-                let left = || 0.5 * left_in(row, &here[w]).norm_squared();
+                let left = || 0.5 * here[w].along(row).norm_squared();
                 !same || here[w].cost > ASTRAY * mean || left() > enough
             })
             .collect();
@@ -76,7 +75,7 @@ impl Windows {
             let mut tried: Vec<usize> = Vec::new();
             for (k, &w) in left.iter().enumerate() {
                 let row = &linear.rows[k];
-                let along = left_in(row, &here[w]);
+                let along = here[w].along(row);
                 let own = damped(&row.triangle, &along, damping[w]);
                 let rest = &along + &row.triangle * &own;
                 if 0.5 * (along.norm_squared() - rest.norm_squared()) <= enough {
