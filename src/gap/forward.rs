@@ -3,7 +3,8 @@
 //! A screen is linear and judges from a model that lacks what it looks for; it says who is worth a fit, no more. What
 //! decides is taken from the fits: the cost, 2 more for each number, then for the best first
 //!
-//! - the cost of the held-out recordings, which has to fall by a twentieth, and of the priors, which belongs to both;
+//! - the cost of the held-out recordings, which has to fall by a twentieth, or where it is hardly more than noise make them a
+//!   thousand times likelier, and of the priors, which belongs to both;
 //! - significance ([`super::evidence`]), in which held-out recordings have a say ([`super::held_out`]);
 //! - or, where noise explains all but a tenth of what the fit with it leaves, and that is less by a fifth and much in either
 //!   recordings, significance by that noise, which needs no stretches that agree: a motor's ripple or bound may show in one;
@@ -41,8 +42,10 @@ const LARGE: f64 = 0.1;
 const NEAR: f64 = 0.2;
 /// Part of the best one's fall that rivals have after few iterations; of what is left, it is most.
 pub(super) const LEADING: f64 = 0.5;
-/// Part of the held-out recordings' cost that an effect takes off it at least.
+/// Part of the held-out recordings' cost that an effect takes off it at least; where that is hardly more than noise, a fall that
+/// makes them so much likelier will do.
 const OF_USE: f64 = 0.05;
+const LIKELIER: f64 = 1e3;
 /// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
 const MUCH: f64 = 0.2;
 /// Part of what noise does not explain of either cost that will do as well.
@@ -300,7 +303,12 @@ fn by_noise(candidate: &Candidate, fall: f64) -> f64 {
 
 /// What an effect takes off the held-out recordings' cost at least.
 pub(super) fn of_use(held: &Held) -> f64 {
-    OF_USE * held.cost
+    let part = OF_USE * held.cost;
+    if held.is_noise() {
+        part.min(LIKELIER.ln())
+    } else {
+        part
+    }
 }
 
 /// Candidates that anything can be seen of: so many tests.

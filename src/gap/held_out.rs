@@ -52,6 +52,11 @@ impl Held {
         unexplained(self.cost, self.noise)
     }
 
+    /// Whether noise explains all that it may be taken to.
+    pub(super) fn is_noise(&self) -> bool {
+        is_noise(self.cost, self.noise)
+    }
+
     /// Chance of so much less than `before`.
     pub(super) fn chance(&self, before: &Self) -> f64 {
         let each = self.each.iter().zip(&before.each);

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! with Q, R of [`super::linear`], at the window's own point, or from one of those that were measured, or where the window
-//! before it ends, if that is nearer.
+//! before it ends, if that is nearer. One that still costs as much as ten is looked for from elsewhere: a single window that ends
+//! at a limit by mistake would have all the weight.
 
 use super::fit::Followed;
 use super::linear::{Linear, damped};
@@ -23,6 +24,8 @@ const SETTLED: f64 = 0.05;
 const ASTRAY: f64 = 2.0;
 /// Steps of a window at most.
 const STEPS: usize = 5;
+/// Cost of a window, in mean ones, from which its first state is looked for once more from the one that was measured calmly.
+const LOST: f64 = 10.0;
 const FIRST_DAMPING: f64 = 1e-6;
 const LEAST_DAMPING: f64 = 1e-9;
 const MOST_DAMPING: f64 = 1e2;
@@ -35,7 +38,7 @@ impl Windows {
         let mean = total / here.len() as f64;
         let enough = SETTLED * mean;
         // what the state could take off, were the window linear
-        let mut left: Vec<usize> = (0..here.len())
+        let left: Vec<usize> = (0..here.len())
             .filter(|&w| {
                 let row = &linear.rows[w];
                 let same = row.weight.len() == here[w].residual.len();
@@ -64,10 +67,44 @@ impl Windows {
                 }
             }
         }
-        held.states = here.iter().map(|f| f.state.clone()).collect();
+        held.approach(here, left, enough);
+        let lost: Vec<usize> = (0..here.len())
+            .filter(|&w| here[w].cost > LOST * mean)
+            .collect();
+        held.begin_again(here, &lost, enough);
+    }
+
+    /// Looks for the first states of the windows `lost` once more, from those that were measured calmly, however far off these
+    /// are: what ends at a joint's limit is nearer than what is on its way, and leads nowhere.
+    fn begin_again(&mut self, here: &mut [Followed], lost: &[usize], enough: f64) {
+        if lost.is_empty() {
+            return;
+        }
+        let Ok(found) = self.simulate_some(&[], &self.measured[1], lost) else {
+            return;
+        };
+        let mut other = here.to_vec();
+        let mut begun = Vec::new();
+        for (&w, found) in lost.iter().zip(found) {
+            let Some(found) = found else { continue };
+            other[w] = found;
+            begun.push(w);
+        }
+        self.approach(&mut other, begun.clone(), enough);
+        for w in begun {
+            if other[w].cost < here[w].cost {
+                here[w].clone_from(&other[w]);
+            }
+        }
+    }
+
+    /// Steps of the windows `left` from where they are `here`, without parameters, until no more than `enough` is left in
+    /// their first states.
+    fn approach(&mut self, here: &mut [Followed], mut left: Vec<usize>, enough: f64) {
+        self.states = here.iter().map(|f| f.state.clone()).collect();
         let mut damping = vec![FIRST_DAMPING; here.len()];
         for _ in 0..STEPS {
-            let some = held.only(&left);
+            let some = self.only(&left);
             let Ok(linear) = some.linearise(&[]) else {
                 return;
             };
@@ -100,7 +137,7 @@ impl Windows {
                 let w = left[k];
                 match found {
                     Some(found) if found.cost < here[w].cost => {
-                        held.states[w] = found.state.clone();
+                        self.states[w] = found.state.clone();
                         here[w] = found;
                         damping[w] = (damping[w] * 0.1).max(LEAST_DAMPING);
                         next.push(w);
@@ -137,6 +174,23 @@ mod tests {
                 states[WINDOW].qvel[0] = 3e3;
             }
             let fit = windows.fit(&x, 3, &mut |_| true).expect("fitted");
+            assert!(fit.cost < 1.1 * search.cost, "{} {}", fit.cost, search.cost);
+        });
+    }
+
+    /// The first window, which none precedes: one of its masses ends at a stop, and where it was measured the other is farther off.
+    #[test]
+    fn a_lost_window_begins_again_from_farther_off() {
+        let base = machine(r#"damping=".2" limited="true" range="-3 3""#, "");
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&base, &base, config, |search, _| {
+            let (x, mut windows) = (search.x.clone(), search.windows.clone());
+            let [first, calm] = &mut windows.measured;
+            for states in [&mut windows.states, first] {
+                states[0].qvel[0] = 3e3;
+            }
+            calm[0].qvel[1] += 4e1;
+            let fit = windows.fit(&x, 6, &mut |_| true).expect("fitted");
             assert!(fit.cost < 1.1 * search.cost, "{} {}", fit.cost, search.cost);
         });
     }
