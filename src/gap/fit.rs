@@ -320,9 +320,8 @@ impl Windows {
     /// None can be simulated; the engine refuses a number.
     pub(super) fn move_states(&mut self, x: &[f64], linear: &Linear) -> Result<(), SysidError> {
         let here = self.followed(x)?;
-        let samples = |row: &Row| row.weight.len();
-        let same = |(f, row): (&Followed, &Row)| f.residual.len() == samples(row);
-        if here.len() != linear.rows.len() || !here.iter().zip(&linear.rows).all(same) {
+        let mut each = here.iter().zip(&linear.rows);
+        if here.len() != linear.rows.len() || !each.all(|(f, row)| f.is_like(row)) {
             return Ok(());
         }
         let changes: Vec<DVector<f64>> = (here.iter().zip(&linear.rows))
@@ -366,6 +365,11 @@ impl Followed {
     pub(super) fn weighted(&self, row: &Row) -> DVector<f64> {
         let each = self.residual.iter().zip(&row.weight);
         DVector::from_iterator(self.residual.len(), each.map(|(r, w)| r * w))
+    }
+
+    /// Whether `row` has as many readings.
+    pub(super) fn is_like(&self, row: &Row) -> bool {
+        row.weight.len() == self.residual.len()
     }
 
     /// (rank) Qᵀ r

@@ -41,9 +41,8 @@ impl Windows {
         let left: Vec<usize> = (0..here.len())
             .filter(|&w| {
                 let row = &linear.rows[w];
-                let same = row.weight.len() == here[w].residual.len();
                 let left = || 0.5 * here[w].along(row).norm_squared();
-                !same || here[w].cost > ASTRAY * mean || left() > enough
+                !here[w].is_like(row) || here[w].cost > ASTRAY * mean || left() > enough
             })
             .collect();
         if left.is_empty() {
