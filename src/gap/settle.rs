@@ -103,6 +103,9 @@ impl Windows {
         self.states = here.iter().map(|f| f.state.clone()).collect();
         let mut damping = vec![FIRST_DAMPING; here.len()];
         for _ in 0..STEPS {
+            if left.is_empty() {
+                return;
+            }
             let some = self.only(&left);
             let Ok(linear) = some.linearise(&[]) else {
                 return;
@@ -149,9 +152,6 @@ impl Windows {
                 }
             }
             left = next;
-            if left.is_empty() {
-                break;
-            }
         }
     }
 }
