@@ -339,8 +339,9 @@ impl Windows {
         let mut right = DVector::zeros(np);
         let mut along = Vec::with_capacity(here.len());
         for (row, followed) in linear.rows.iter().zip(here) {
-            along.push(followed.along(row));
-            right -= row.parameters.tr_mul(&followed.weighted(row));
+            let r = followed.weighted(row);
+            along.push(row.basis.tr_mul(&r));
+            right -= row.parameters.tr_mul(&r);
         }
         let gradient = -right.clone();
         let (dx, to) = solved(parameters, x, normal, right, &[]);
