@@ -264,8 +264,8 @@ impl Search<'_> {
 
     /// Whether a fitted model costs less than the present one where neither was fitted.
     fn is_less_held_out(&self, fitted: &Fitted) -> Result<bool, GapError> {
-        let before = self.held(&self.built, &self.windows, &self.x)?;
-        let after = self.held(&fitted.built, &fitted.windows, &fitted.x)?;
+        let present = self.held((&self.built, &self.windows, &self.x), 0.0)?;
+        let [before, after] = self.held_both(present.as_ref(), fitted)?;
         Ok(falls(before.as_ref(), after.as_ref(), |_| 0.0))
     }
 
@@ -329,7 +329,7 @@ impl Search<'_> {
                 if fitted.cost > most * self.cost {
                     continue;
                 }
-                fitted.improve(watch)?;
+                fitted.improve(self, watch)?;
                 let (mut own, mut costs) = ([self.cost; 2], [fitted.cost; 2]);
                 if let (Some(own_change), Some(change)) = (own_steps, fitted.cost_without_steps()?)
                 {

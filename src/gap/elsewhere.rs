@@ -38,7 +38,7 @@ impl Search<'_> {
             return Ok(Some(screen));
         }
         watch.stage(Stage::Refit);
-        let held = self.held(&self.built, &self.windows, &self.x)?;
+        let held = self.held((&self.built, &self.windows, &self.x), 0.0)?;
         while !more.is_empty() {
             let Some((then, evidence)) = self.with_all(&more, (&screen, held.as_ref()), watch)?
             else {
@@ -99,8 +99,8 @@ impl Search<'_> {
         if self.absurd(&fitted) {
             return Ok(None);
         }
-        let after = self.held(&fitted.built, &fitted.windows, &fitted.x)?;
-        if !falls(held, after.as_ref(), of_use) {
+        let [held, after] = self.held_both(held, &fitted)?;
+        if !falls(held.as_ref(), after.as_ref(), of_use) {
             return Ok(None);
         }
         let then = self.settled_with(fitted, watch)?;

@@ -148,7 +148,7 @@ impl Search<'_> {
         let most = fitted.iter().map(|f| fall(&f.0)).fold(0.0, f64::max);
         fitted.retain(|f| fall(&f.0) >= LEADING * most);
         for (own, candidate) in &mut fitted {
-            own.improve(watch)?;
+            own.improve(self, watch)?;
             self.other_shapes((own, candidate), screen, watch)?;
         }
         fitted.retain(|f| fall(&f.0) >= least);
@@ -172,7 +172,7 @@ impl Search<'_> {
         let rows = screen.linear.rows.iter();
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
-        let held_before = self.held(&self.built, &self.windows, &self.x)?;
+        let present = self.held((&self.built, &self.windows, &self.x), 0.0)?;
         // what fits in absurd numbers alone is something that the catalogue has not, and no worse fit is it
         let mut absurd: Option<f64> = None;
         for (i, of) in tried.iter().enumerate() {
@@ -191,7 +191,7 @@ impl Search<'_> {
                 absurd = absurd.or(Some(price));
                 continue;
             }
-            let held = self.held(&own.built, &own.windows, &own.x)?;
+            let [held_before, held] = self.held_both(present.as_ref(), own)?;
             let falls = |least: fn(&Held) -> f64| falls(held_before.as_ref(), held.as_ref(), least);
             if !falls(of_use) {
                 continue;

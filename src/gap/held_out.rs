@@ -24,7 +24,7 @@ const BLOCKS: usize = 16;
 const UNEXPLAINED: f64 = 0.1;
 
 /// Costs of held-out windows.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Held {
     /// of all, and of priors
     pub cost: f64,
@@ -110,18 +110,18 @@ pub(super) fn both(a: f64, b: f64) -> f64 {
 }
 
 impl Search<'_> {
-    /// Held-out recordings with parameters as fitted to `windows`, weighed like those; none without such recordings, or
-    /// where the model does not follow them.
+    /// Held-out recordings with parameters as fitted to `windows`, weighed like those, without what encoders show in the first
+    /// `recorded_s` of each window; none without such recordings, or where the model does not follow them.
     ///
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn held(
         &self,
-        built: &Built,
-        windows: &Windows,
-        x: &[f64],
+        (built, windows, x): (&Built, &Windows, &[f64]),
+        recorded_s: f64,
     ) -> Result<Option<Held>, GapError> {
-        let Some(mut held) = self.held_out.clone() else {
+        let held_out = self.held_out.as_ref();
+        let Some(mut held) = held_out.and_then(|held| held.without_first(recorded_s)) else {
             return Ok(None);
         };
         let Ok(problem) = built.problem(&held.problem) else {

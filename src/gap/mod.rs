@@ -29,6 +29,7 @@ mod forward;
 mod given;
 mod held_out;
 mod inputs;
+mod late;
 mod left;
 mod lengths;
 mod linear;

@@ -112,7 +112,7 @@ pub(super) fn experiment(
             continue;
         }
         if let Some(mut fitted) = search.fitted_instead(i, instead, watch)? {
-            fitted.improve(watch)?;
+            fitted.improve(search, watch)?;
             rivals.push(fitted);
         }
     }

@@ -49,13 +49,14 @@ impl Search<'_> {
         let Some(mut without) = there.fitted(present, FEW_ITERATIONS, watch)? else {
             return Ok(the_effect);
         };
-        without.improve(watch)?;
+        without.improve(self, watch)?;
         if without.cost >= self.cost {
             return Ok(the_effect);
         }
         let (fall, cost) = (without.cost - own.cost, without.cost);
         let left = unexplained(cost, self.cost - left);
-        let before = self.held(&without.built, &without.windows, &without.x)?;
+        let of = (&without.built, &without.windows, &without.x[..]);
+        let before = self.held(of, self.recorded_s(&own.chosen))?;
         if is_much((fall, cost, left), |least| {
             falls(before.as_ref(), held, least)
         }) {

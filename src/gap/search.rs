@@ -352,20 +352,21 @@ impl<'a> Search<'a> {
             windows.problem = whole;
         }
         let most = ITERATIONS.min(MORE * iterations);
-        let going = &mut watch.fit_while_falling(iterations);
-        let Some(fit) = sound(windows.fit(&x, most, going))? else {
+        let fit = windows.fit(&x, most, &mut watch.fit_while_falling(iterations));
+        let Some(fit) = sound(fit)? else {
             return Ok(None);
         };
         if windows.len() != self.windows.len() {
             return Ok(None); // it breaks down where the model before did not
         }
         let values = built.values(&windows.problem, &fit.x, chosen);
+        let cost = self.rated((&windows, &fit.x, fit.cost), &values, watch)?;
         Ok(Some(Fitted {
             chosen: values,
             written: chosen.to_vec(),
             built,
             x: fit.x,
-            cost: fit.cost,
+            cost,
             windows,
         }))
     }
@@ -447,19 +448,25 @@ pub(super) struct Fitted {
     pub written: Vec<Chosen>,
     pub built: Built,
     pub x: Vec<f64>,
+    /// as it is rated beside the model before it, see [`super::late`]
     pub cost: f64,
     pub windows: Windows,
 }
 
 impl Fitted {
-    /// Goes on with the fit.
+    /// Goes on with the fit, of a model that is compared with the present one of `search`.
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn improve(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
+    pub(super) fn improve(
+        &mut self,
+        search: &Search<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), GapError> {
         let fit = (self.windows).fit(&self.x, ITERATIONS, &mut watch.fit_nearly())?;
-        (self.x, self.cost) = (fit.x, fit.cost);
+        self.x = fit.x;
         self.chosen = (self.built).values(&self.windows.problem, &self.x, &self.written);
+        self.cost = search.rated((&self.windows, &self.x, fit.cost), &self.chosen, watch)?;
         Ok(())
     }
 }

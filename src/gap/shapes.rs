@@ -51,7 +51,7 @@ impl Search<'_> {
             let Some(mut fit) = self.fitted_with(&[other], screen, FEW_ITERATIONS, watch)? else {
                 continue;
             };
-            fit.improve(watch)?;
+            fit.improve(self, watch)?;
             if fit.cost < own.cost {
                 (*own, *candidate) = (fit, other);
             }

@@ -50,7 +50,7 @@ impl Search<'_> {
             {
                 channel.sigma = own.sigma;
             }
-            other.improve(watch)?;
+            other.improve(&there, watch)?;
             let price = alike::price(other.cost, &other.x);
             let screen = there.screened(watch)?;
             let place = &dry.candidate.place;
@@ -91,7 +91,7 @@ mod tests {
                 let candidate = own.expect("a candidate");
                 let begun = search.begun(candidate, &screen, watch).expect("fitted");
                 let (mut fit, _) = begun.expect("follows");
-                fit.improve(watch).expect("fitted");
+                fit.improve(search, watch).expect("fitted");
                 let costs = [fit.cost; 2];
                 Tried {
                     fit,

@@ -91,6 +91,13 @@ impl About {
         self.parameters.iter().any(|p| p.role == Role::Companion)
     }
 
+    /// Which of its parameters is how late it makes encoders, if one is.
+    pub fn lateness(&self) -> Option<usize> {
+        let is_time = |p: &Parameter| p.dimension == Dimension::Time;
+        let at = self.parameters.iter().position(is_time);
+        at.filter(|_| self.shows == Shows::Reading)
+    }
+
     /// Shapes that are tried before one is fitted: all at their first values, and each at its others.
     pub fn shapes(&self) -> usize {
         let others = self.parameters.iter().map(|p| match p.role {
