@@ -20,7 +20,7 @@ pub struct FamilyConfig {
     pub places: Vec<String>,
     /// smallest and largest number of effects, drawn evenly
     pub count: [usize; 2],
-    /// factor on the amplitudes of the catalogue
+    /// factor on the amplitudes of the catalogue, and above 1 on the friction that differs with direction
     pub severity: f64,
 }
 
@@ -100,10 +100,12 @@ pub(super) fn draw(
         });
         let parameters = entry.parameters.iter().enumerate().map(|(i, p)| {
             let value = rng::uniform(rng, p.low, p.high);
-            let factor = if i == 0 && entry.effect != Effect::FrictionCone {
-                family.severity
-            } else {
-                1.0
+            let factor = match entry.effect {
+                Effect::FrictionCone => 1.0,
+                _ if i == 0 => family.severity,
+                // friction that differs by more than there is of it would push the joint on
+                Effect::AsymmetricFriction => family.severity.max(1.0),
+                _ => 1.0,
             };
             // the cut of a range is a share: keep it one
             let most = if entry.effect == Effect::TorqueSaturation && i == 0 {

@@ -183,3 +183,24 @@ fn families_draw_machines_by_seed() {
     assert!(names.len() > 20, "{names:?}");
     assert_eq!(truth(7), truth(7));
 }
+
+/// Four times a difference between directions was more than the friction of either, which pushed a joint on.
+#[test]
+fn large_friction_stays_friction_either_way() {
+    for seed in 0..20 {
+        let mut config = shipped("rigs/family.toml");
+        config.seed = seed;
+        let family = config.family.as_mut().expect("a family");
+        family.effects = vec!["asymmetric_friction".to_owned()];
+        family.count = [1, 1];
+        family.severity = 4.0;
+        let truth = rig(config).truth().clone();
+        let of = |name: &str| {
+            let mut all = truth.parameter.iter();
+            let own = all.find(|p| p.attribute == format!("asymmetric_friction.{name}"));
+            own.expect("a parameter").value
+        };
+        let (difference, level) = (of("difference_nm"), of("torque_nm"));
+        assert!(difference <= level, "{difference} {level}");
+    }
+}
