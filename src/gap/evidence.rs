@@ -13,6 +13,7 @@ use super::linear::{Column, Linear};
 use super::score::Normal;
 use super::screen::{Candidate, largest_part};
 use super::search::{Search, doubt};
+use crate::sysid::problem::Problem;
 
 /// Why an effect was chosen.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -76,12 +77,26 @@ impl<'s> Standing<'s> {
     /// Response of effect `own`, as a part of the motors'.
     fn size(&self, own: usize) -> Option<f64> {
         let (search, linear) = (self.search, &self.linear);
+        let response = search.response(own, (&search.windows.problem, linear));
+        let motors = self.motors.as_ref()?;
+        let (own, whole) = (linear.by_channel(&response), &motors.parts);
+        largest_part(&own, &linear.by_channel(whole))
+    }
+}
+
+impl Search<'_> {
+    /// What the sizes of effect `own` do to the rows of every window of a `problem` with the effects, as linearised.
+    pub(super) fn response(
+        &self,
+        own: usize,
+        (problem, linear): (&Problem, &Linear),
+    ) -> Vec<DVector<f64>> {
         let mut response: Vec<DVector<f64>> = (linear.rows.iter())
             .map(|row| DVector::zeros(row.residual.len()))
             .collect();
-        let chosen = &search.chosen[own];
+        let chosen = &self.chosen[own];
         let parameters = chosen.effect.about().parameters;
-        for (j, i, p, slope) in search.built.free(&search.windows.problem) {
+        for (j, i, p, slope) in self.built.free(problem) {
             if i == own && parameters[p].is_size() {
                 let change = chosen.values[p] / slope;
                 for (sum, row) in response.iter_mut().zip(&linear.rows) {
@@ -89,8 +104,6 @@ impl<'s> Standing<'s> {
                 }
             }
         }
-        let motors = self.motors.as_ref()?;
-        let (own, whole) = (linear.by_channel(&response), &motors.parts);
-        largest_part(&own, &linear.by_channel(whole))
+        response
     }
 }

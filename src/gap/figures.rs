@@ -212,11 +212,15 @@ fn effects(answer: &Answer) -> Section {
             "unit",
             "probability",
             "p",
+            "best decoy",
             "class",
             "as",
         ],
     );
     for e in &answer.effects {
+        let decoys = (e.decoys).map_or(String::new(), |d| {
+            format!("{:.2} of it, of {}", d.best / d.own, d.n)
+        });
         for v in &e.parameters {
             let interval = v.ci95.map_or("held".to_owned(), range);
             table.push(vec![
@@ -229,6 +233,7 @@ fn effects(answer: &Answer) -> Section {
                 v.unit.clone(),
                 format!("{:.3}", e.probability),
                 format!("{:.1e}", e.p_value),
+                decoys.clone(),
                 e.class.join(", "),
                 e.expressed_as.to_owned(),
             ]);

@@ -12,6 +12,7 @@
 //! number of effects that were fitted: both are independent where nothing is there (Fisher 1932).
 
 use super::GapError;
+use super::fit::Fitted;
 use super::model::Built;
 use super::score::{by_stretch, stretches};
 use super::search::{ITERATIONS, Search};
@@ -120,6 +121,37 @@ impl Search<'_> {
         (built, windows, x): (&Built, &Windows, &[f64]),
         recorded_s: f64,
     ) -> Result<Option<Held>, GapError> {
+        let of = (built, windows, x);
+        let Some((held, fit)) = self.held_at(of, recorded_s)? else {
+            return Ok(None);
+        };
+        let own = |name: &str| {
+            let channels = &self.windows.problem.channels;
+            channels.iter().position(|c| c.name == name)
+        };
+        let channels = held.problem.channels.iter();
+        let square: Vec<f64> = channels
+            .map(|c| own(&c.name).map_or(0.0, |own| self.noise_square(own)))
+            .collect();
+        let samples = held.problem.trials.iter().flat_map(|t| &t.samples);
+        let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
+        Ok(Some(Held {
+            cost: fit.cost + windows.problem.parameters.prior_cost(x),
+            noise: samples.map(|s| 0.5 * square[s.channel]).sum(),
+            each: fit.each,
+            block_of: stretches(&recording, BLOCKS),
+        }))
+    }
+
+    /// The windows of held-out recordings with their first states, and the fit of these; as [`Search::held`].
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn held_at(
+        &self,
+        (built, windows, x): (&Built, &Windows, &[f64]),
+        recorded_s: f64,
+    ) -> Result<Option<(Windows, Fitted)>, GapError> {
         let held_out = self.held_out.as_ref();
         let Some(mut held) = held_out.and_then(|held| held.without_first(recorded_s)) else {
             return Ok(None);
@@ -129,26 +161,16 @@ impl Search<'_> {
         };
         held.problem = windows.held(&problem, x);
         // as the present model's, whichever is looked at
-        let mut square = vec![0.0; held.problem.channels.len()];
-        for (c, own) in self.windows.problem.channels.iter().enumerate() {
-            let mut each = held.problem.channels.iter_mut().zip(&mut square);
-            if let Some((channel, square)) = each.find(|(channel, _)| channel.name == own.name) {
+        for own in &self.windows.problem.channels {
+            let mut channels = held.problem.channels.iter_mut();
+            if let Some(channel) = channels.find(|channel| channel.name == own.name) {
                 channel.sigma = own.sigma;
-                *square = self.noise_square(c);
             }
         }
-        let samples = held.problem.trials.iter().flat_map(|t| &t.samples);
-        let noise = samples.map(|s| 0.5 * square[s.channel]).sum();
         held.factor = windows.factor;
         let whole = held.len();
-        let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
         match held.fit(&[], ITERATIONS, &mut |_| true) {
-            Ok(fit) if held.len() == whole => Ok(Some(Held {
-                cost: fit.cost + windows.problem.parameters.prior_cost(x),
-                noise,
-                each: fit.each,
-                block_of: stretches(&recording, BLOCKS),
-            })),
+            Ok(fit) if held.len() == whole => Ok(Some((held, fit))),
             Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
             _ => Ok(None),
         }

@@ -17,7 +17,7 @@ use super::model::Chosen;
 use super::search::{FEW_ITERATIONS, Fitted, Search, sound};
 use super::windows::Windows;
 use super::{GapError, Watch};
-use crate::sysid::problem::Stage;
+use crate::sysid::problem::{Stage, Trial};
 
 /// s by which the effects make encoders late.
 fn late_s(chosen: &[Chosen]) -> f64 {
@@ -39,7 +39,7 @@ impl Windows {
             (trial.samples)
                 .retain(|s| s.time >= late_s || channels[s.channel].stage != Stage::Position);
         }
-        let left = |t: &crate::sysid::problem::Trial| !t.samples.is_empty();
+        let left = |t: &Trial| !t.samples.is_empty();
         rest.problem.trials.iter().all(left).then_some(rest)
     }
 }

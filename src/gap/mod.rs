@@ -19,6 +19,7 @@ mod band;
 mod base;
 mod coarse;
 mod cuts;
+mod decoy;
 pub mod diff;
 pub mod effect;
 mod elsewhere;

@@ -122,6 +122,7 @@ pub(super) fn called(
         law: about.law.to_owned(),
         gain: evidence.gain,
         size: evidence.size,
+        decoys: None,
         alike,
     }
 }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::decoy::Decoys;
 use super::effect::{Effect, Place};
 
 /// In one word.
@@ -80,6 +81,8 @@ pub struct Named {
     pub gain: f64,
     /// its response over that of the motors
     pub size: Option<f64>,
+    /// what it takes off held-out recordings beside decoys of its size; none where windows are not simulated
+    pub decoys: Option<Decoys>,
     /// the class with places
     pub alike: Vec<Where>,
 }

@@ -300,7 +300,10 @@ pub(super) fn at_length(
     };
     watch.stage(Stage::Name);
     let step = without.map(|own| own.error(&screen.normal));
-    let effects = name::name(&search, screen, step.as_ref());
+    let mut effects = name::name(&search, screen, step.as_ref());
+    for (effect, decoys) in effects.iter_mut().zip(search.decoys()?) {
+        effect.decoys = decoys;
+    }
     let last = Missing::new(&search.windows, &search.x, screen, &search.stretch_of)?;
     let remaining = Remaining {
         before: first.remaining,
@@ -331,6 +334,17 @@ pub(super) fn at_length(
             search.windows.problem.model.timestep(),
             100.0 * part
         ));
+    }
+    for effect in &effects {
+        if effect
+            .decoys
+            .is_some_and(|decoys| decoys.best >= decoys.own)
+        {
+            gap.notes.push(format!(
+                "{} at {} takes no more off than a decoy of its size",
+                effect.name, effect.at
+            ));
+        }
     }
     let lost = search.windows.length_s < cuts.length_s;
     let more = lost || much || left::law(&rest);
