@@ -245,7 +245,7 @@ impl Search<'_> {
             return Ok(1.0);
         };
         let own = fit.windows.weights(&fit.x, &self.noise)?.cost;
-        Ok(fit.cost / own.max(fit.cost))
+        Ok(fit.itself / own.max(fit.itself))
     }
 
     /// Candidates to be fitted, best first; then what the catalogue says may be mistaken for the best: a screen is linear, and

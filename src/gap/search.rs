@@ -366,6 +366,7 @@ impl<'a> Search<'a> {
             written: chosen.to_vec(),
             built,
             x: fit.x,
+            itself: fit.cost,
             cost,
             windows,
         }))
@@ -404,7 +405,7 @@ impl<'a> Search<'a> {
         self.built = fitted.built;
         self.windows = fitted.windows;
         self.x = fitted.x;
-        self.cost = fitted.cost;
+        self.cost = fitted.itself;
     }
 
     /// Whether an effect is in the model.
@@ -448,6 +449,8 @@ pub(super) struct Fitted {
     pub written: Vec<Chosen>,
     pub built: Built,
     pub x: Vec<f64>,
+    /// cost by itself
+    pub itself: f64,
     /// as it is rated beside the model before it, see [`super::late`]
     pub cost: f64,
     pub windows: Windows,
@@ -464,7 +467,7 @@ impl Fitted {
         watch: &mut Watch<'_>,
     ) -> Result<(), GapError> {
         let fit = (self.windows).fit(&self.x, ITERATIONS, &mut watch.fit_nearly())?;
-        self.x = fit.x;
+        (self.x, self.itself) = (fit.x, fit.cost);
         self.chosen = (self.built).values(&self.windows.problem, &self.x, &self.written);
         self.cost = search.rated((&self.windows, &self.x, fit.cost), &self.chosen, watch)?;
         Ok(())
