@@ -264,8 +264,9 @@ impl Search<'_> {
 
     /// Whether a fitted model costs less than the present one where neither was fitted.
     fn is_less_held_out(&self, fitted: &Fitted) -> Result<bool, GapError> {
-        let present = self.held((&self.built, &self.windows, &self.x), 0.0)?;
-        let [before, after] = self.held_both(present.as_ref(), fitted)?;
+        let recorded_s = self.recorded_s(&fitted.chosen);
+        let before = self.held(self.at_hand(), recorded_s)?;
+        let after = self.held(fitted.at_hand(), recorded_s)?;
         Ok(falls(before.as_ref(), after.as_ref(), |_| 0.0))
     }
 

@@ -24,6 +24,7 @@ use serde::Serialize;
 use super::GapError;
 use super::linear::Row;
 use super::search::{Search, sound};
+use super::windows::Windows;
 
 /// What an effect and its decoys take off the cost, fitted one by one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -46,18 +47,12 @@ impl Search<'_> {
         if self.chosen.is_empty() {
             return Ok(nothing);
         }
-        let windows = match self.held_at((&self.built, &self.windows, &self.x), 0.0)? {
-            Some((mut held, _)) => {
-                // its numbers were held
-                let Ok(mut problem) = self.built.problem(&held.problem) else {
-                    return Ok(nothing);
-                };
-                for (channel, held) in problem.channels.iter_mut().zip(&held.problem.channels) {
-                    channel.sigma = held.sigma;
-                }
-                held.problem = problem;
-                held
-            }
+        let windows = match self.held_at(self.at_hand(), 0.0)? {
+            // its numbers were held
+            Some((held, _)) => Windows {
+                problem: self.built.problem(&held.problem)?,
+                ..held
+            },
             None => self.windows.clone(),
         };
         let Some(linear) = sound(windows.linearise(&self.x))? else {
@@ -106,7 +101,7 @@ mod tests {
     use super::*;
     use crate::gap::masses::{chosen, found, machine, searching};
 
-    /// What a spring, and a drag that nobody hid, take beside their decoys.
+    /// What an effect takes beside its decoys, where a spring is hidden.
     fn taken(name: &str, values: &[f64]) -> Decoys {
         let base = machine("", "");
         let hidden = machine(r#"stiffness="1""#, "");

@@ -38,7 +38,7 @@ impl Search<'_> {
             return Ok(Some(screen));
         }
         watch.stage(Stage::Refit);
-        let held = self.held((&self.built, &self.windows, &self.x), 0.0)?;
+        let held = self.held(self.at_hand(), 0.0)?;
         while !more.is_empty() {
             let Some((then, evidence)) = self.with_all(&more, (&screen, held.as_ref()), watch)?
             else {

@@ -99,8 +99,7 @@ impl Search<'_> {
     /// Cost that the noise of the sensors does not explain.
     pub(super) fn unexplained(&self, screen: &Screen) -> f64 {
         let rows = screen.linear.rows.iter().flat_map(|row| &row.channel);
-        let noise: f64 = rows.map(|&c| 0.5 * self.noise_square(c)).sum();
-        unexplained(screen.normal.cost(), noise)
+        unexplained(screen.normal.cost(), self.noise_cost(rows.copied()))
     }
 
     /// Steps forward from the present model, of which `screen` is, if there is one; what comes back is the screen of the model
@@ -172,7 +171,7 @@ impl Search<'_> {
         let rows = screen.linear.rows.iter();
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
-        let present = self.held((&self.built, &self.windows, &self.x), 0.0)?;
+        let present = self.held(self.at_hand(), 0.0)?;
         // what fits in absurd numbers alone is something that the catalogue has not, and no worse fit is it
         let mut absurd: Option<f64> = None;
         for (i, of) in tried.iter().enumerate() {

@@ -13,9 +13,8 @@
 
 use super::GapError;
 use super::fit::Fitted;
-use super::model::Built;
 use super::score::{by_stretch, stretches};
-use super::search::{ITERATIONS, Search};
+use super::search::{AtHand, ITERATIONS, Search};
 use super::windows::Windows;
 use crate::sysid::SysidError;
 
@@ -116,12 +115,7 @@ impl Search<'_> {
     ///
     /// # Errors
     /// The engine refuses a number.
-    pub(super) fn held(
-        &self,
-        (built, windows, x): (&Built, &Windows, &[f64]),
-        recorded_s: f64,
-    ) -> Result<Option<Held>, GapError> {
-        let of = (built, windows, x);
+    pub(super) fn held(&self, of: AtHand<'_>, recorded_s: f64) -> Result<Option<Held>, GapError> {
         let Some((held, fit)) = self.held_at(of, recorded_s)? else {
             return Ok(None);
         };
@@ -130,14 +124,13 @@ impl Search<'_> {
             channels.iter().position(|c| c.name == name)
         };
         let channels = held.problem.channels.iter();
-        let square: Vec<f64> = channels
-            .map(|c| own(&c.name).map_or(0.0, |own| self.noise_square(own)))
-            .collect();
+        let own: Vec<Option<usize>> = channels.map(|c| own(&c.name)).collect();
         let samples = held.problem.trials.iter().flat_map(|t| &t.samples);
         let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
+        let (_, windows, x) = of;
         Ok(Some(Held {
             cost: fit.cost + windows.problem.parameters.prior_cost(x),
-            noise: samples.map(|s| 0.5 * square[s.channel]).sum(),
+            noise: self.noise_cost(samples.filter_map(|s| own[s.channel])),
             each: fit.each,
             block_of: stretches(&recording, BLOCKS),
         }))
@@ -149,7 +142,7 @@ impl Search<'_> {
     /// The engine refuses a number.
     pub(super) fn held_at(
         &self,
-        (built, windows, x): (&Built, &Windows, &[f64]),
+        (built, windows, x): AtHand<'_>,
         recorded_s: f64,
     ) -> Result<Option<(Windows, Fitted)>, GapError> {
         let held_out = self.held_out.as_ref();

@@ -90,18 +90,16 @@ impl Search<'_> {
         if !is_later {
             return Ok(self.cost + fitted.cost - of_later);
         }
-        let (all, part) = (self.noise_cost(&self.windows), self.noise_cost(&rest));
+        let noise = |of: &Windows| {
+            let samples = of.problem.trials.iter().flat_map(|t| &t.samples);
+            self.noise_cost(samples.map(|s| s.channel))
+        };
+        let (all, part) = (noise(&self.windows), noise(&rest));
         if is_noise(fitted.cost, part) {
             return Ok(f64::INFINITY);
         }
         let times = (self.cost - all) / (fitted.cost - part);
         Ok(all + (of_later - part) * times.max(1.0))
-    }
-
-    /// Cost of the windows that the sensors' noise explains.
-    fn noise_cost(&self, windows: &Windows) -> f64 {
-        let samples = windows.problem.trials.iter().flat_map(|t| &t.samples);
-        samples.map(|s| 0.5 * self.noise_square(s.channel)).sum()
     }
 
     /// Held-out recordings with the present model and with a fitted one, as far as both simulate them; `present` is what is
@@ -116,11 +114,11 @@ impl Search<'_> {
     ) -> Result<[Option<Held>; 2], GapError> {
         let recorded_s = self.recorded_s(&fitted.chosen);
         let before = if recorded_s > 0.0 {
-            self.held((&self.built, &self.windows, &self.x), recorded_s)?
+            self.held(self.at_hand(), recorded_s)?
         } else {
             present.cloned()
         };
-        let after = self.held((&fitted.built, &fitted.windows, &fitted.x), recorded_s)?;
+        let after = self.held(fitted.at_hand(), recorded_s)?;
         Ok([before, after])
     }
 }

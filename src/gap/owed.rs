@@ -55,8 +55,7 @@ impl Search<'_> {
         }
         let (fall, cost) = (without.cost - own.cost, without.cost);
         let left = unexplained(cost, self.cost - left);
-        let of = (&without.built, &without.windows, &without.x[..]);
-        let before = self.held(of, self.recorded_s(&own.chosen))?;
+        let before = self.held(without.at_hand(), self.recorded_s(&own.chosen))?;
         if is_much((fall, cost, left), |least| {
             falls(before.as_ref(), held, least)
         }) {

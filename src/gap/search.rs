@@ -232,6 +232,16 @@ impl<'a> Search<'a> {
         (self.noise[channel] / self.windows.problem.channels[channel].sigma).powi(2)
     }
 
+    /// Cost that the sensors' noise gives readings of these channels.
+    pub(super) fn noise_cost(&self, channels: impl Iterator<Item = usize>) -> f64 {
+        channels.map(|c| 0.5 * self.noise_square(c)).sum()
+    }
+
+    /// The present model.
+    pub(super) fn at_hand(&self) -> AtHand<'_> {
+        (&self.built, &self.windows, &self.x)
+    }
+
     /// (t, degrees of freedom) of every size of an effect in the model, `step` being what the model's own step makes of
     /// parameters. Shapes are held: without the effect they mean nothing, and whether it is there is not asked by how well
     /// its size is known beside them (Davies 1977).
@@ -456,7 +466,15 @@ pub(super) struct Fitted {
     pub windows: Windows,
 }
 
+/// A model, and the windows that it was fitted to with parameters.
+pub(super) type AtHand<'a> = (&'a Built, &'a Windows, &'a [f64]);
+
 impl Fitted {
+    /// The fitted model.
+    pub(super) fn at_hand(&self) -> AtHand<'_> {
+        (&self.built, &self.windows, &self.x)
+    }
+
     /// Goes on with the fit, of a model that is compared with the present one of `search`.
     ///
     /// # Errors
