@@ -28,8 +28,11 @@ const MOST: usize = 16;
 /// effects in the model.
 const LEAST: f64 = 0.02;
 
+/// Part by which a size may differ from that which a column was taken with.
+const NEAR: f64 = 0.1;
+
 impl Look<'_> {
-    /// Makes the `columns` of `found`, whose sums are `normal`, anew where that is worth it.
+    /// Makes the `columns` of `found`, `taken` with these sizes, whose sums are `normal`, anew where that is worth it.
     ///
     /// # Errors
     /// The engine refuses a number.
@@ -39,7 +42,7 @@ impl Look<'_> {
         found: &[(usize, Variant, Vec<usize>)],
         at: At<'_>,
         normal: &Normal,
-        columns: &mut [Column],
+        (columns, taken): (&mut [Column], &mut [f64]),
     ) -> Result<(), GapError> {
         let mut best: Vec<(f64, usize, Vec<f64>)> = (found.iter().enumerate())
             .filter_map(|(k, (_, _, own))| {
@@ -80,8 +83,12 @@ impl Look<'_> {
                     (true, true) => least,
                     (true, false) => whole,
                 };
+                if (beta / taken[*c] - 1.0).abs() < NEAR {
+                    continue;
+                }
                 let mut values = values.clone();
                 values[p] = beta;
+                taken[*c] = beta;
                 which.push(*c);
                 asked.push(Ask {
                     effect: *effect,

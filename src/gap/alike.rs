@@ -31,13 +31,14 @@
 use serde::{Deserialize, Serialize};
 
 use super::effect::{Effect, Place, are_neighbours, named};
+use super::fitted::Fitted;
 use super::held_out::falls;
 use super::model::{Built, Chosen};
 use super::name::APART;
 use super::result::Where;
 use super::score::by_stretch;
 use super::screen::{Candidate, Screen};
-use super::search::{FEW_ITERATIONS, Fitted, Search};
+use super::search::{FEW_ITERATIONS, Search};
 use super::step::WithoutSteps;
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
@@ -53,6 +54,8 @@ const RUNNERS_UP: usize = 3;
 /// Times the present cost that another effect may leave when its fit falls no more by much, and that one which was alike may.
 const HOPELESS: f64 = 2.0;
 const LOST: f64 = 10.0;
+/// Times that cost which derivatives may foretell at the best, where joints stick: what is reached is several times less.
+const ASTRAY: f64 = 4.0;
 /// Places of costs with and without steps.
 const WITH: usize = 0;
 const WITHOUT: usize = 1;
@@ -270,16 +273,19 @@ impl Search<'_> {
         Ok(falls(before.as_ref(), after.as_ref(), |_| 0.0))
     }
 
-    /// The present model with another effect in the place of its effect `i`, the fit begun.
+    /// The present model with another effect in the place of its effect `i`, the fit begun; given up where it will not end below
+    /// `hopeless` times the present cost.
     pub(super) fn fitted_instead(
         &self,
         i: usize,
         instead: Chosen,
+        hopeless: f64,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
         let mut chosen = self.chosen.clone();
         chosen[i] = instead;
-        self.fitted(&chosen, FEW_ITERATIONS, watch)
+        let effort = (FEW_ITERATIONS, ASTRAY * hopeless * self.cost);
+        self.fitted_after(None, &chosen, effort, watch)
     }
 
     /// Fits what was alike once more, beside all that was found since, and what looks alike now that all is found; keeps what
@@ -323,10 +329,10 @@ impl Search<'_> {
                     continue; // it stands beside it, or is the same
                 }
                 let effect = instead.effect;
-                let Some(mut fitted) = self.fitted_instead(i, instead, watch)? else {
+                let most = if rival.is_alike() { LOST } else { HOPELESS };
+                let Some(mut fitted) = self.fitted_instead(i, instead, most, watch)? else {
                     continue;
                 };
-                let most = if rival.is_alike() { LOST } else { HOPELESS };
                 if fitted.cost > most * self.cost {
                     continue;
                 }

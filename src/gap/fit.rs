@@ -11,16 +11,14 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::linear::{LEAST_INFORMATION, Linear, Row, damped};
+use super::followed::Followed;
+use super::linear::{LEAST_INFORMATION, Linear, damped};
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::box_qp::solve_in_box;
 use crate::sysid::fit::Iteration;
 use crate::sysid::parameter::Parameters;
-use crate::sysid::shooting::columns::Point;
-use crate::sysid::shooting::loops::Loops;
-use crate::sysid::shooting::simulate::Pool;
-use crate::sysid::shooting::window::{State, place};
+use crate::sysid::shooting::window::State;
 
 /// Part of a direction's information that is added to it.
 const RIDGE: f64 = 1e-9;
@@ -32,6 +30,8 @@ const LEAST_PART: f64 = 1e-6;
 const NEAR: f64 = 0.1;
 /// Part of the foretold fall from which derivatives go on serving.
 const AS_FORETOLD: f64 = 0.6;
+/// Part of the cost below which what derivatives foretell says nothing: that far they do not reach.
+const FAR_OFF: f64 = 0.1;
 /// Parts of a step that are tried.
 const PARTS: [f64; 3] = [1.0, 0.3, 0.1];
 /// Parts of the change of a window's state that are tried.
@@ -48,104 +48,7 @@ pub(super) struct Fitted {
     pub each: Vec<f64>,
 }
 
-/// A window simulated exactly.
-#[derive(Debug, Clone)]
-pub(super) struct Followed {
-    pub state: State,
-    /// at the last knot
-    pub end: State,
-    /// (rows) in standard deviations
-    pub residual: Vec<f64>,
-    /// (rows) as sensors have it
-    pub predicted: Vec<f64>,
-    /// (knots × nq)
-    qpos: Vec<f64>,
-    pub cost: f64,
-    /// samples of the rows
-    pub samples: Vec<usize>,
-}
-
 impl Windows {
-    /// Every window from its first state; nothing if one breaks down.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn simulate(
-        &self,
-        x: &[f64],
-        states: &[State],
-    ) -> Result<Option<Vec<Followed>>, SysidError> {
-        let all: Vec<usize> = (0..self.len()).collect();
-        let followed = self.simulate_some(x, states, &all)?;
-        Ok(followed.into_iter().collect())
-    }
-
-    pub(super) fn simulate_some(
-        &self,
-        x: &[f64],
-        states: &[State],
-        some: &[usize],
-    ) -> Result<Vec<Option<Followed>>, SysidError> {
-        let windows = self.windows();
-        let placed = place(&self.problem, &windows, x);
-        let pool = Pool::default();
-        let mut states = states.to_vec();
-        if let Some(mut loops) = Loops::new(&self.problem, x)? {
-            for &w in some {
-                states[w] = loops.close(&states[w])?;
-            }
-        }
-        let point = Point {
-            problem: &self.problem,
-            windows: &windows,
-            placed: &placed,
-            x,
-            states: &states,
-            free_states: true,
-            directions: &[],
-            pool: &pool,
-        };
-        let free = self.problem.free_values(x);
-        let simulated = point.simulate_some(some)?;
-        let followed = some.iter().zip(simulated).map(|(&w, simulated)| {
-            let simulated = simulated?;
-            let samples = &self.problem.trials[w].samples;
-            let mut cost = 0.0;
-            let predicted: Vec<f64> = (simulated.samples(&self.problem, &windows[w], &placed[w]))
-                .map(|(z, _)| z)
-                .collect();
-            let residual = (predicted.iter().zip(&placed[w]))
-                .map(|(&z, p)| {
-                    let s = &samples[p.sample];
-                    let c = &self.problem.channels[s.channel];
-                    let r = (c.reading(&free, z) - s.value) / c.sigma;
-                    cost += c.norm.cost(r);
-                    r
-                })
-                .collect();
-            Some(Followed {
-                state: states[w].clone(),
-                end: simulated.end,
-                residual,
-                predicted,
-                qpos: simulated.qpos,
-                cost,
-                samples: placed[w].iter().map(|p| p.sample).collect(),
-            })
-        });
-        Ok(followed.collect())
-    }
-
-    /// Makes readings of what was simulated, without noise.
-    pub(super) fn have_recorded(&mut self, followed: &[Followed]) {
-        for (trial, followed) in self.problem.trials.iter_mut().zip(followed) {
-            for (i, r) in followed.samples.iter().zip(&followed.residual) {
-                let sample = &mut trial.samples[*i];
-                sample.value += r * self.problem.channels[sample.channel].sigma;
-            }
-        }
-    }
-
     /// Estimates the parameters and first states from `x`. Derivatives that do not foretell what happens are made
     /// anew, then in shorter steps.
     ///
@@ -153,6 +56,20 @@ impl Windows {
     /// Nothing can be simulated; the engine refuses a number.
     pub(super) fn fit(
         &mut self,
+        x: &[f64],
+        max_iterations: usize,
+        watch: &mut dyn FnMut(&Iteration) -> bool,
+    ) -> Result<Fitted, SysidError> {
+        self.fit_below(f64::INFINITY, x, max_iterations, watch)
+    }
+
+    /// The same, given up where derivatives foretell no cost below `bound`.
+    ///
+    /// # Errors
+    /// As [`Windows::fit`].
+    pub(super) fn fit_below(
+        &mut self,
+        bound: f64,
         x: &[f64],
         max_iterations: usize,
         watch: &mut dyn FnMut(&Iteration) -> bool,
@@ -172,7 +89,12 @@ impl Windows {
                 (found, normal)
             };
             let step = self.step(&derivatives, &normal, &x, &here);
-            if step.fall(1.0) < LEAST_FALL.max(LEAST_PART * cost) {
+            let foretold = cost - step.fall(1.0);
+            if foretold > bound.max(FAR_OFF * cost) {
+                break;
+            }
+            let little = LEAST_FALL.max(LEAST_PART * cost);
+            if step.fall(1.0) < little {
                 if fresh {
                     break;
                 }
@@ -187,6 +109,7 @@ impl Windows {
                 }
                 continue;
             };
+            let ends = fresh && cost - taken.cost < little;
             let same = (here.iter().zip(&taken.windows)).all(|(a, b)| a.samples == b.samples);
             if same && cost - taken.cost > AS_FORETOLD * step.fall(taken.part) {
                 linear = Some((derivatives, normal));
@@ -203,7 +126,7 @@ impl Windows {
                 x: x.clone(),
             };
             let near = taken.part == 1.0 && step.far < NEAR && !x.is_empty();
-            if !watch(&record) || near {
+            if !watch(&record) || near || ends {
                 break;
             }
         }
@@ -361,24 +284,6 @@ impl Windows {
     }
 }
 
-impl Followed {
-    /// (rows) the residual, weighed as `row` is.
-    pub(super) fn weighted(&self, row: &Row) -> DVector<f64> {
-        let each = self.residual.iter().zip(&row.weight);
-        DVector::from_iterator(self.residual.len(), each.map(|(r, w)| r * w))
-    }
-
-    /// Whether `row` has as many readings.
-    pub(super) fn is_like(&self, row: &Row) -> bool {
-        row.weight.len() == self.residual.len()
-    }
-
-    /// (rank) Qᵀ r
-    pub(super) fn along(&self, row: &Row) -> DVector<f64> {
-        row.basis.tr_mul(&self.weighted(row))
-    }
-}
-
 /// A step by the linearised problem.
 struct Step {
     dx: DVector<f64>,
@@ -488,6 +393,41 @@ mod tests {
             let mut fewer = astray.only(&[0, 2]);
             fewer.move_states(x, &linear).expect("simulated");
             assert_eq!(fewer.states, astray.only(&[0, 2]).states);
+        });
+    }
+
+    /// Damping of "a" that the model lacks leaves what no fit of the other's takes off.
+    #[test]
+    fn a_fit_that_will_not_come_below_its_bound_is_given_up() {
+        let (base, hidden) = (machine("", ""), machine(r#"damping="2""#, ""));
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\nscale = \"linear\"\n\
+                      lower = -5.0\n";
+        searching(&base, &hidden, config, |search, _| {
+            let below = |off: f64, bound: f64| {
+                let away: Vec<f64> = search.x.iter().map(|x| x + off).collect();
+                let (mut windows, mut n) = (search.windows.clone(), 0);
+                let mut count = |_: &_| {
+                    n += 1;
+                    true
+                };
+                let fit = windows.fit_below(bound, &away, 12, &mut count);
+                (fit.expect("fitted"), n)
+            };
+            let (whole, all) = below(0.01, f64::INFINITY);
+            assert!(whole.cost < 1.01 * search.cost, "{}", whole.cost);
+            assert_eq!(below(0.01, 2.0 * whole.cost).0.cost, whole.cost);
+            let (given_up, steps) = below(0.01, 0.5 * whole.cost);
+            assert!(
+                steps < all && given_up.cost > whole.cost,
+                "{steps} of {all}"
+            );
+            // from far off derivatives foretell a thousand times as much
+            let (far, steps) = below(1.0, 2.0 * whole.cost);
+            assert!(
+                steps > 1 && far.cost < 1.01 * whole.cost,
+                "{} {steps}",
+                far.cost
+            );
         });
     }
 }

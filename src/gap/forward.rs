@@ -18,13 +18,14 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use super::alike::{self, Tried};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
+use super::fitted::Fitted;
 use super::held_out::{Held, both, falls, is_noise, unexplained};
 use super::inputs::is_wanted;
 use super::name::APART;
 use super::owed::Owed;
 use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
-use super::search::{Fitted, Search};
+use super::search::Search;
 use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted before one is kept: a spring with a rest that no screen expects may be the tenth of them.
@@ -339,7 +340,7 @@ mod tests {
             let step = screen.normal.step(&gain.columns);
             let mut cost = |step: &[f64]| {
                 let from = Some((step, &screen.linear));
-                let fitted = search.fitted_after(from, &[gain.chosen()], 0, watch);
+                let fitted = search.fitted_after(from, &[gain.chosen()], (0, f64::INFINITY), watch);
                 fitted.expect("fitted").expect("follows").cost
             };
             let (there, here) = (cost(&step), cost(&[]));

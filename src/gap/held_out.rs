@@ -13,8 +13,9 @@
 
 use super::GapError;
 use super::fit::Fitted;
+use super::fitted::AtHand;
 use super::score::{by_stretch, stretches};
-use super::search::{AtHand, ITERATIONS, Search};
+use super::search::{ITERATIONS, Search};
 use super::windows::Windows;
 use crate::sysid::SysidError;
 
@@ -125,7 +126,7 @@ impl Search<'_> {
         };
         let channels = held.problem.channels.iter();
         let own: Vec<Option<usize>> = channels.map(|c| own(&c.name)).collect();
-        let samples = held.problem.trials.iter().flat_map(|t| &t.samples);
+        let samples = held.problem.trials.iter().flat_map(|t| t.samples.iter());
         let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
         let (_, windows, x) = of;
         Ok(Some(Held {

@@ -12,9 +12,12 @@
 //! with C₀ of the present model, fitted to either, and N what noise explains. Held-out recordings are compared without these
 //! samples, which of both models only one simulates.
 
+use std::sync::Arc;
+
+use super::fitted::Fitted;
 use super::held_out::{Held, is_noise};
 use super::model::Chosen;
-use super::search::{FEW_ITERATIONS, Fitted, Search, sound};
+use super::search::{FEW_ITERATIONS, Search, sound};
 use super::windows::Windows;
 use super::{GapError, Watch};
 use crate::sysid::problem::{Stage, Trial};
@@ -36,7 +39,7 @@ impl Windows {
         }
         let channels = &self.problem.channels;
         for trial in &mut rest.problem.trials {
-            (trial.samples)
+            Arc::make_mut(&mut trial.samples)
                 .retain(|s| s.time >= late_s || channels[s.channel].stage != Stage::Position);
         }
         let left = |t: &Trial| !t.samples.is_empty();
@@ -91,7 +94,7 @@ impl Search<'_> {
             return Ok(self.cost + fitted.cost - of_later);
         }
         let noise = |of: &Windows| {
-            let samples = of.problem.trials.iter().flat_map(|t| &t.samples);
+            let samples = of.problem.trials.iter().flat_map(|t| t.samples.iter());
             self.noise_cost(samples.map(|s| s.channel))
         };
         let (all, part) = (noise(&self.windows), noise(&rest));

@@ -10,6 +10,7 @@
 //! | r̃, J̃, Qᵀ J | [`Row::residual`], [`Row::parameters`], [`Row::along`] |
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
@@ -382,7 +383,7 @@ impl Linear {
         }
         let mut still = windows.held(problem, x);
         for trial in &mut still.trials {
-            for control in trial.controls.iter_mut().flatten() {
+            for control in Arc::make_mut(&mut trial.controls).iter_mut().flatten() {
                 control.1 = 0.0;
             }
         }

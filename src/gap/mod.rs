@@ -26,6 +26,8 @@ mod elsewhere;
 mod evidence;
 pub mod figures;
 mod fit;
+mod fitted;
+mod followed;
 mod forward;
 mod given;
 mod held_out;

@@ -11,10 +11,13 @@
 //! told from below. (Box and Hill 1967; Buzzi-Ferraris and Forzatti 1983.) Motions are made of the windows of the recordings,
 //! their first states and commands changed, so that any machine can be asked; each is as long as what was recorded.
 
+use std::sync::Arc;
+
+use super::fitted::Fitted;
 use super::name;
 use super::result::{Expected, Experiment, Named, Untestable};
 use super::screen::Screen;
-use super::search::{Fitted, ITERATIONS, Search, sound};
+use super::search::{ITERATIONS, Search, sound};
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 
@@ -70,7 +73,7 @@ impl Motion {
     /// Makes recorded windows those of this motion.
     fn begin(&self, windows: &mut Windows) {
         for trial in &mut windows.problem.trials {
-            for (_, command) in trial.controls.iter_mut().flatten() {
+            for (_, command) in Arc::make_mut(&mut trial.controls).iter_mut().flatten() {
                 *command *= self.command;
             }
         }
@@ -111,7 +114,7 @@ pub(super) fn experiment(
         if other.iter().any(|own| rival.is(own)) {
             continue;
         }
-        if let Some(mut fitted) = search.fitted_instead(i, instead, watch)? {
+        if let Some(mut fitted) = search.fitted_instead(i, instead, f64::INFINITY, watch)? {
             fitted.improve(search, watch)?;
             rivals.push(fitted);
         }

@@ -68,7 +68,7 @@ impl Search<'_> {
         if !other.effect.about().is_variety() || !self.has(DRY, &other.place) {
             return Ok(false);
         }
-        let Some(fitted) = self.fitted_instead(i, other.clone(), watch)? else {
+        let Some(fitted) = self.fitted_instead(i, other.clone(), f64::INFINITY, watch)? else {
             return Ok(false);
         };
         let is_as_good = apart(price(fitted.cost, &fitted.x), price(self.cost, &self.x)) < APART;

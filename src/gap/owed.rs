@@ -11,9 +11,10 @@
 //!
 //! and if that is not much, the better fit takes the place of the present one, and the effect has to be found anew beside it.
 
+use super::fitted::Fitted;
 use super::forward::is_much;
 use super::held_out::{Held, falls, unexplained};
-use super::search::{FEW_ITERATIONS, Fitted, Search};
+use super::search::{FEW_ITERATIONS, Search};
 use super::{GapError, Watch};
 
 /// Times the fall that a screen foretells, above which it is asked whose it is.

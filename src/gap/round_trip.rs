@@ -3,6 +3,8 @@
 //! Its windows, from the first states and under the commands of the training recordings, with as much noise as the
 //! sensors have: nothing more must be found, and the effects' numbers must come back.
 
+use std::sync::Arc;
+
 use super::effect::Role;
 use super::model::Chosen;
 use super::result::{Returned, RoundTrip};
@@ -46,8 +48,9 @@ pub(super) fn round_trip(
     }
     for (w, (trial, followed)) in (windows.problem.trials.iter_mut().zip(&followed)).enumerate() {
         let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, w as u64);
+        let samples = Arc::make_mut(&mut trial.samples);
         for i in &followed.samples {
-            let sample = &mut trial.samples[*i];
+            let sample = &mut samples[*i];
             sample.value += search.noise[sample.channel] * rng::normal(&mut rng);
         }
     }

@@ -172,8 +172,11 @@ impl Look<'_> {
             found.push((i, variant, (from..columns.len()).collect()));
         }
         let mut normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
+        let mut taken: Vec<f64> = (found.iter())
+            .flat_map(|(_, variant, _)| variant.columns.iter().map(|c| c.0))
+            .collect();
         for _ in 0..LOOKS {
-            self.look_again(&all, &found, at, &normal, &mut columns)?;
+            self.look_again(&all, &found, at, &normal, (&mut columns, &mut taken))?;
             normal = Normal::new(&linear.rows, &columns, self.stretch_of, &prior);
         }
         let motors = linear.motors(self.windows, self.x)?;

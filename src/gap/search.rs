@@ -13,6 +13,7 @@ use nalgebra::DVector;
 
 use super::effect::{ModelFile, Place};
 use super::evidence::Evidence;
+use super::fitted::{AtHand, Fitted};
 use super::linear::Linear;
 use super::model::{Built, Chosen, Measured};
 use super::score;
@@ -289,7 +290,7 @@ impl<'a> Search<'a> {
         iterations: usize,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
-        self.fitted_after(None, chosen, iterations, watch)
+        self.fitted_after(None, chosen, (iterations, f64::INFINITY), watch)
     }
 
     /// The present model with more effects, as the screen of it expects them and all parameters with them.
@@ -307,7 +308,8 @@ impl<'a> Search<'a> {
             .flat_map(|c| c.columns.iter().copied())
             .collect();
         let step = screen.normal.step(&columns);
-        self.fitted_after(Some((&step, &screen.linear)), &chosen, iterations, watch)
+        let effort = (iterations, f64::INFINITY);
+        self.fitted_after(Some((&step, &screen.linear)), &chosen, effort, watch)
     }
 
     /// As [`Search::fitted`] with a fit that starts after a step of the base model's parameters: where they stood for an
@@ -317,7 +319,7 @@ impl<'a> Search<'a> {
         &self,
         step: Option<(&[f64], &Linear)>,
         chosen: &[Chosen],
-        iterations: usize,
+        (iterations, bound): Effort,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
         let Ok(built) = Built::new(self.base, self.rules, chosen, &self.measured) else {
@@ -352,8 +354,8 @@ impl<'a> Search<'a> {
                 .filter_map(of)
                 .collect();
             let from: Vec<f64> = own.iter().map(|i| x[*i]).collect();
-            let Some(fit) = sound(windows.fit(&from, HELD_ITERATIONS, &mut watch.fit_nearly()))?
-            else {
+            let fit = windows.fit_below(bound, &from, HELD_ITERATIONS, &mut watch.fit_nearly());
+            let Some(fit) = sound(fit)? else {
                 return Ok(None);
             };
             for (i, value) in own.into_iter().zip(fit.x) {
@@ -362,7 +364,7 @@ impl<'a> Search<'a> {
             windows.problem = whole;
         }
         let most = ITERATIONS.min(MORE * iterations);
-        let fit = windows.fit(&x, most, &mut watch.fit_while_falling(iterations));
+        let fit = windows.fit_below(bound, &x, most, &mut watch.fit_while_falling(iterations));
         let Some(fit) = sound(fit)? else {
             return Ok(None);
         };
@@ -426,6 +428,9 @@ impl<'a> Search<'a> {
     }
 }
 
+/// Iterations of a fit, and the cost below which it has to be foretold to end.
+pub(super) type Effort = (usize, f64);
+
 /// What came of windows; nothing where the model follows none.
 pub(super) fn sound<T>(of: Result<T, SysidError>) -> Result<Option<T>, GapError> {
     match of {
@@ -449,45 +454,4 @@ pub(super) struct Size {
     pub at: usize,
     /// how far it is from 0
     pub x: f64,
-}
-
-/// A model with effects, fitted.
-#[derive(Clone)]
-pub(super) struct Fitted {
-    pub chosen: Vec<Chosen>,
-    /// as it was written
-    pub written: Vec<Chosen>,
-    pub built: Built,
-    pub x: Vec<f64>,
-    /// cost by itself
-    pub itself: f64,
-    /// as it is rated beside the model before it, see [`super::late`]
-    pub cost: f64,
-    pub windows: Windows,
-}
-
-/// A model, and the windows that it was fitted to with parameters.
-pub(super) type AtHand<'a> = (&'a Built, &'a Windows, &'a [f64]);
-
-impl Fitted {
-    /// The fitted model.
-    pub(super) fn at_hand(&self) -> AtHand<'_> {
-        (&self.built, &self.windows, &self.x)
-    }
-
-    /// Goes on with the fit, of a model that is compared with the present one of `search`.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn improve(
-        &mut self,
-        search: &Search<'_>,
-        watch: &mut Watch<'_>,
-    ) -> Result<(), GapError> {
-        let fit = (self.windows).fit(&self.x, ITERATIONS, &mut watch.fit_nearly())?;
-        (self.x, self.itself) = (fit.x, fit.cost);
-        self.chosen = (self.built).values(&self.windows.problem, &self.x, &self.written);
-        self.cost = search.rated((&self.windows, &self.x, fit.cost), &self.chosen, watch)?;
-        Ok(())
-    }
 }

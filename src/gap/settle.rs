@@ -15,7 +15,7 @@
 
 use std::mem;
 
-use super::fit::Followed;
+use super::followed::Followed;
 use super::linear::{Linear, damped};
 use super::windows::Windows;
 use crate::sysid::shooting::window::State;

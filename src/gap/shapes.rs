@@ -4,10 +4,14 @@
 //! fall that is a fifth of the true one fits better than all near it. A candidate that leads is therefore fitted from every shape of
 //! its grid, and one that falls short of what the screen foretold from the next.
 
+use super::fitted::Fitted;
 use super::forward::LEADING;
 use super::screen::{Candidate, Screen};
-use super::search::{FEW_ITERATIONS, Fitted, Search};
+use super::search::{FEW_ITERATIONS, Search};
 use super::{GapError, Watch};
+
+/// Times the cost of one shape that another has to be foretold to end below.
+const WORSE: f64 = 1.25;
 
 impl Search<'_> {
     /// A candidate in the model, the fit begun. Where that falls short of what the screen expects, other shapes are tried: how
@@ -51,7 +55,7 @@ impl Search<'_> {
             let Some(mut fit) = self.fitted_with(&[other], screen, FEW_ITERATIONS, watch)? else {
                 continue;
             };
-            fit.improve(self, watch)?;
+            fit.improve_below(WORSE * own.cost, self, watch)?;
             if fit.cost < own.cost {
                 (*own, *candidate) = (fit, other);
             }

@@ -7,6 +7,8 @@
 
 use std::collections::BTreeSet;
 
+use rayon::prelude::*;
+
 use super::GapError;
 use super::effect::{self, Effect, Place, PlaceKind};
 use super::linear::{Column, Linear};
@@ -57,34 +59,54 @@ impl Look<'_> {
         });
         let mut again: Vec<Trial<'_>> = Vec::new();
         let mut done = 0;
-        for group in colours(first) {
+        for groups in colours(first).chunks(at_once()) {
             if !watch(done) {
                 return Ok(None);
             }
-            done += group.len();
-            let found = self.simulate(&group, linear, some)?;
-            for ((Asked { index, ask, .. }, shows), column) in group.into_iter().zip(found) {
+            done += groups.iter().map(Vec::len).sum::<usize>();
+            for ((Asked { index, ask, .. }, shows), column) in
+                self.simulate_all(groups, linear, some)?
+            {
                 let Some(column) = column else { continue };
                 match absorb.moved(linear, &column, ask.size) {
                     Some(dx) => {
-                        let shows = self.reached_by(&dx, &linear.partition, shows);
+                        let shows = self.reached_by(&dx, &linear.partition, shows.clone());
+                        let index = *index;
                         again.push((Asked { index, ask, dx }, shows));
                     }
-                    None => columns[index] = Some(column),
+                    None => columns[*index] = Some(column),
                 }
             }
         }
-        for group in colours(again.into_iter()) {
+        for groups in colours(again.into_iter()).chunks(at_once()) {
             if !watch(done) {
                 return Ok(None);
             }
-            let found = self.simulate(&group, linear, some)?;
-            for ((moved, _), column) in group.iter().zip(found) {
+            for ((moved, _), column) in self.simulate_all(groups, linear, some)? {
                 let size = moved.ask.size;
                 columns[moved.index] = column.map(|c| c.without(linear, &moved.dx, size));
             }
         }
         Ok(Some(columns))
+    }
+
+    /// Each of these groups with its column, simulated side by side: what is done once a simulation, as writing the model, takes one
+    /// core alone.
+    fn simulate_all<'g, 'a>(
+        &self,
+        groups: &'g [Vec<Trial<'a>>],
+        linear: &Linear,
+        some: &[usize],
+    ) -> Result<Vec<(&'g Trial<'a>, Option<Column>)>, GapError> {
+        let found = groups
+            .par_iter()
+            .map(|group| self.simulate(group, linear, some));
+        let found: Vec<_> = found.collect::<Result<_, _>>()?;
+        Ok(groups
+            .iter()
+            .flatten()
+            .zip(found.into_iter().flatten())
+            .collect())
     }
 
     /// Where an effect in the parts `own` and a move of the parameters show.
@@ -162,6 +184,11 @@ impl Look<'_> {
         }
         Ok(columns)
     }
+}
+
+/// Groups that are simulated side by side.
+fn at_once() -> usize {
+    4 * rayon::current_num_threads()
 }
 
 /// Parts in which an effect at a place shows; none: anywhere.

@@ -15,6 +15,8 @@
 //! | s₀, x | first state of the window, parameters |
 //! | r̃ | [`super::linear::Row::residual`] |
 
+use std::sync::Arc;
+
 use super::coarse;
 use super::lying::Lying;
 use super::score;
@@ -138,7 +140,7 @@ impl Windows {
                 part.path = Some(path.from(first as f64 * h));
                 let own = &path.rows()[first * nq..(last + 1) * nq];
                 let lies = lying.of(&part, own)?;
-                part.samples.retain(|s| !lies.channels.contains(&s.channel));
+                Arc::make_mut(&mut part.samples).retain(|s| !lies.channels.contains(&s.channel));
                 if part.samples.is_empty() {
                     continue;
                 }
@@ -288,9 +290,9 @@ fn part(whole: &Problem, trial: &Trial, first: usize, last: usize) -> Trial {
         name: name(trial, trial.start_s + from),
         n_knots: last - first + 1,
         start_s: trial.start_s + from,
-        controls: controls.collect(),
-        samples,
-        recording: std::sync::Arc::clone(&trial.recording),
+        controls: Arc::new(controls.collect()),
+        samples: Arc::new(samples),
+        recording: Arc::clone(&trial.recording),
         path: None,
     }
 }

@@ -81,7 +81,7 @@ fn rules(config: &ProblemConfig, recordings: &[(String, Recording)]) -> Result<(
 fn constant(problem: &Problem) -> Result<(), SysidError> {
     for (c, channel) in problem.channels.iter().enumerate() {
         let mut values = (problem.trials.iter())
-            .flat_map(|t| &t.samples)
+            .flat_map(|t| t.samples.iter())
             .filter(|s| s.channel == c)
             .map(|s| s.value);
         let first = values.next();

@@ -148,9 +148,9 @@ pub struct Trial {
     /// seconds from the recording's start to the first knot
     pub start_s: f64,
     /// per actuator: (time since the first knot, value held from there)
-    pub controls: Vec<Vec<(f64, f64)>>,
+    pub controls: Arc<Vec<Vec<(f64, f64)>>>,
     /// in the order of time
-    pub samples: Vec<Sample>,
+    pub samples: Arc<Vec<Sample>>,
     /// as it was recorded
     pub recording: Arc<Recording>,
     /// the motion by its readings, where windows have to know what was before them
@@ -280,7 +280,7 @@ impl Problem {
     /// belongs to a motion like theirs.
     pub(super) fn channel_ranges(&self) -> Vec<f64> {
         let mut ends = vec![(f64::INFINITY, f64::NEG_INFINITY); self.channels.len()];
-        for s in self.trials.iter().flat_map(|t| &t.samples) {
+        for s in self.trials.iter().flat_map(|t| t.samples.iter()) {
             let (low, high) = &mut ends[s.channel];
             (*low, *high) = (low.min(s.value), high.max(s.value));
         }

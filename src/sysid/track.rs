@@ -112,7 +112,7 @@ impl<'a> Filter<'a> {
     /// Samples sorted to the knots nearest to them.
     fn read(&self, trial: &super::problem::Trial) -> Vec<Vec<Reading>> {
         let mut out: Vec<Vec<Reading>> = vec![Vec::new(); self.n_knots];
-        for s in &trial.samples {
+        for s in trial.samples.iter() {
             let channel = &self.problem.channels[s.channel];
             let time = s.time - channel.delay.value(&self.free);
             // what depends on forces holds from a knot to the next

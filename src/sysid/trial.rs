@@ -173,8 +173,8 @@ pub(super) fn trial(
         name: name.to_owned(),
         n_knots,
         start_s: start,
-        controls,
-        samples: all,
+        controls: Arc::new(controls),
+        samples: Arc::new(all),
         recording: Arc::new(recording.clone()),
         path: None,
     })

@@ -65,7 +65,7 @@ impl Point<'_> {
         which: &[usize],
         push: &(dyn Fn(usize, usize, &mut [f64]) + Sync),
     ) -> Result<Vec<Option<Simulated>>, SysidError> {
-        let controls = self.controls(self.x);
+        let controls = self.controls(self.x, which);
         let size = which.len().div_ceil(8 * rayon::current_num_threads());
         let parts: Vec<Result<Vec<Option<Simulated>>, SysidError>> = (which
             .par_chunks(size.max(1)))
@@ -121,7 +121,8 @@ impl Point<'_> {
                 }));
             }
         }
-        let controls = self.controls(self.x);
+        let all: Vec<usize> = (0..self.windows.len()).collect();
+        let controls = self.controls(self.x, &all);
         let parts: Vec<Result<Vec<Vec<Slope>>, SysidError>> = (tasks.par_iter())
             .map(|task| self.slopes(task, base, &controls))
             .collect();
@@ -167,7 +168,7 @@ impl Point<'_> {
                 .iter()
                 .any(|(j, _)| self.problem.moves_controls(j - n_state))
             {
-                moved_controls = self.controls(&x);
+                moved_controls = self.controls(&x, task.windows);
             }
         }
         let controls = if moved_controls.is_empty() {
@@ -242,11 +243,21 @@ impl Point<'_> {
         }
     }
 
-    /// Of every trial (knots × nu).
-    fn controls(&self, x: &[f64]) -> Vec<Vec<f64>> {
-        let trials = self.problem.trials.iter();
+    /// Of every trial (knots × nu); of those without one of the windows `which`, nothing.
+    fn controls(&self, x: &[f64], which: &[usize]) -> Vec<Vec<f64>> {
+        let mut wanted = vec![false; self.problem.trials.len()];
+        for w in which {
+            wanted[self.windows[*w].trial] = true;
+        }
+        let trials = self.problem.trials.par_iter().zip(wanted);
         trials
-            .map(|trial| self.problem.controls(trial, x))
+            .map(|(trial, wanted)| {
+                if wanted {
+                    self.problem.controls(trial, x)
+                } else {
+                    Vec::new()
+                }
+            })
             .collect()
     }
 
@@ -332,8 +343,8 @@ mod tests {
             name: "t".into(),
             n_knots: 51,
             start_s: 0.0,
-            controls: Vec::new(),
-            samples: samples.collect(),
+            controls: Arc::default(),
+            samples: Arc::new(samples.collect()),
             recording: Arc::new(Recording::default()),
             path: None,
         };

@@ -41,7 +41,7 @@ impl<'a> Readings<'a> {
         let h = self.problem.model.timestep();
         let free = self.problem.free_values(x);
         let mut series: Vec<Vec<(f64, f64)>> = vec![Vec::new(); self.problem.channels.len()];
-        for s in &trial.samples {
+        for s in trial.samples.iter() {
             series[s.channel].push((s.time, s.value));
         }
         let read = |c: usize, knot: usize| {

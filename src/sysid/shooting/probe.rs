@@ -135,7 +135,7 @@ fn state(problem: &Problem, pose: &mut Pose<'_>, window: &Window) -> Result<Stat
     let mut at = |knot: usize| -> Result<Vec<f64>, SysidError> {
         let time = knot as f64 * h;
         let mut nearest: Vec<Option<(f64, f64)>> = vec![None; problem.channels.len()];
-        for s in &trial.samples {
+        for s in trial.samples.iter() {
             let distance = (s.time - time).abs();
             let best = &mut nearest[s.channel];
             if best.is_none_or(|b| distance < b.0) {
