@@ -115,9 +115,7 @@ impl Windows {
         if possible.is_empty() {
             return Ok(());
         }
-        let stride = self.len().div_ceil(LOOKS);
-        let some: Vec<usize> = (0..self.len()).step_by(stride).collect();
-        let mut look = self.only(&some);
+        let mut look = self.at_most(LOOKS);
         // where nothing can be simulated the fit says so
         if look.followed(x).is_err() {
             return Ok(());

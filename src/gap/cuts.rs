@@ -130,7 +130,7 @@ impl Cuts {
     /// s between readings of the channel that has fewest.
     fn interval_s(&self) -> f64 {
         let mut counts = vec![0_usize; self.whole.channels.len()];
-        for sample in self.whole.trials.iter().flat_map(|t| t.samples.iter()) {
+        for sample in self.whole.samples() {
             counts[sample.channel] += 1;
         }
         let steps: usize = self.whole.trials.iter().map(|t| t.n_knots - 1).sum();
@@ -224,7 +224,7 @@ impl Windows {
         };
         let channels = &self.problem.channels;
         let mut readings = vec![[0.0; 3]; channels.len()];
-        for sample in self.problem.trials.iter().flat_map(|t| t.samples.iter()) {
+        for sample in self.problem.samples() {
             let own = [1.0, sample.value, sample.value.powi(2)];
             for (sum, own) in readings[sample.channel].iter_mut().zip(own) {
                 *sum += own;

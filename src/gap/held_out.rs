@@ -126,7 +126,7 @@ impl Search<'_> {
         };
         let channels = held.problem.channels.iter();
         let own: Vec<Option<usize>> = channels.map(|c| own(&c.name)).collect();
-        let samples = held.problem.trials.iter().flat_map(|t| t.samples.iter());
+        let samples = held.problem.samples();
         let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
         let (_, windows, x) = of;
         Ok(Some(Held {

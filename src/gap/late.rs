@@ -93,10 +93,7 @@ impl Search<'_> {
         if !is_later {
             return Ok(self.cost + fitted.cost - of_later);
         }
-        let noise = |of: &Windows| {
-            let samples = of.problem.trials.iter().flat_map(|t| t.samples.iter());
-            self.noise_cost(samples.map(|s| s.channel))
-        };
+        let noise = |of: &Windows| self.noise_cost(of.problem.samples().map(|s| s.channel));
         let (all, part) = (noise(&self.windows), noise(&rest));
         if is_noise(fitted.cost, part) {
             return Ok(f64::INFINITY);

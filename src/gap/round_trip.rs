@@ -1,6 +1,6 @@
 //! The repaired model, simulated and searched again.
 //!
-//! Its windows, from the first states and under the commands of the training recordings, with as much noise as the
+//! Some of its windows, from the first states and under the commands of the training recordings, with as much noise as the
 //! sensors have: nothing more must be found, and the effects' numbers must come back.
 
 use std::sync::Arc;
@@ -40,9 +40,7 @@ pub(super) fn round_trip(
     watch: &mut Watch<'_>,
 ) -> Result<Option<RoundTrip>, GapError> {
     let mut again = search.clone();
-    let stride = again.windows.len().div_ceil(WINDOWS).max(1);
-    let some: Vec<usize> = (0..again.windows.len()).step_by(stride).collect();
-    again.windows = again.windows.only(&some);
+    again.windows = again.windows.at_most(WINDOWS);
     again.stretch_of = again.windows.stretches();
     let windows = &mut again.windows;
     let Some(followed) = windows.simulate(&search.x, &windows.states)? else {

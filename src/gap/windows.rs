@@ -194,6 +194,13 @@ impl Windows {
         }
     }
 
+    /// So many of the windows at most, evenly.
+    pub(super) fn at_most(&self, n: usize) -> Self {
+        let stride = self.len().div_ceil(n).max(1);
+        let some: Vec<usize> = (0..self.len()).step_by(stride).collect();
+        self.only(&some)
+    }
+
     /// Number of windows.
     pub(super) fn len(&self) -> usize {
         self.problem.trials.len()

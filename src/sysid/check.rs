@@ -80,8 +80,7 @@ fn rules(config: &ProblemConfig, recordings: &[(String, Recording)]) -> Result<(
 /// Channels that never move, of which the noise would be guessed to be nothing.
 fn constant(problem: &Problem) -> Result<(), SysidError> {
     for (c, channel) in problem.channels.iter().enumerate() {
-        let mut values = (problem.trials.iter())
-            .flat_map(|t| t.samples.iter())
+        let mut values = (problem.samples())
             .filter(|s| s.channel == c)
             .map(|s| s.value);
         let first = values.next();

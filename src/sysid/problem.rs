@@ -276,11 +276,16 @@ impl Problem {
             .collect()
     }
 
+    /// Samples of all trials, one trial after the other.
+    pub(crate) fn samples(&self) -> impl Iterator<Item = &Sample> {
+        self.trials.iter().flat_map(|t| t.samples.iter())
+    }
+
     /// How far every channel ranges over all trials: the most of those with its unit, as the one that hardly moves
     /// belongs to a motion like theirs.
     pub(super) fn channel_ranges(&self) -> Vec<f64> {
         let mut ends = vec![(f64::INFINITY, f64::NEG_INFINITY); self.channels.len()];
-        for s in self.trials.iter().flat_map(|t| t.samples.iter()) {
+        for s in self.samples() {
             let (low, high) = &mut ends[s.channel];
             (*low, *high) = (low.min(s.value), high.max(s.value));
         }
