@@ -31,6 +31,7 @@ mod followed;
 mod forward;
 mod given;
 mod held_out;
+mod home;
 mod inputs;
 mod late;
 mod left;

@@ -251,6 +251,9 @@ pub(super) fn at_length(
             more
         } else {
             screen = search.forward(screen.take(), watch)?;
+            if screen.is_none() {
+                search.at_home(watch)?;
+            }
             // what short windows do not show may show in longer ones
             let longer = !search.chosen.is_empty() && search.lengthen(&cuts, watch)?;
             if longer && screen.is_some() {

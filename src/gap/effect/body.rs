@@ -1,6 +1,8 @@
 //! Masses, gravity and geometry.
 
-use super::place::{Site, bodies};
+use nalgebra::{Isometry3, Point3, Quaternion, UnitQuaternion, Vector3};
+
+use super::place::{Site, bodies, bodies_that};
 use super::{About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Place, Shows};
 use crate::mjcf::attribute::norm;
 use crate::mjcf::structure::Change;
@@ -125,8 +127,15 @@ impl Effect for Payload {
     }
 
     fn places(&self, model: &Model) -> Vec<Place> {
+        let mut links: Vec<i32> = Vec::new();
         let mut all = bodies(model, false);
         all.extend(bodies(model, true));
+        all.retain(|place| {
+            let link = place.body(model).map(|b| model.body_weldid()[b]);
+            let new = link.filter(|link| !links.contains(link));
+            links.extend(new);
+            new.is_some()
+        });
         all
     }
 
@@ -153,6 +162,39 @@ impl Effect for Payload {
             supplement: None,
         })
     }
+
+    fn nearest(&self, model: &Model, place: &Place, values: &[f64]) -> Option<(Place, Vec<f64>)> {
+        let &[mass, x, y, z] = values else {
+            return None;
+        };
+        let own = place.body(model)?;
+        let point = on_link(model, own) * Point3::new(x, y, z);
+        let fixed = bodies_that(model, |b| {
+            model.body_mass()[b] > 0.0 && model.body_weldid()[b] == model.body_weldid()[own]
+        });
+        let seen = fixed.into_iter().filter_map(|other| {
+            let frame = on_link(model, other.body(model)?);
+            let there = frame.inverse_transform_point(&point).coords;
+            Some((other, there))
+        });
+        let (nearest, at) = seen.min_by(|a, b| a.1.norm().total_cmp(&b.1.norm()))?;
+        let is_nearer = at.norm() < Point3::new(x, y, z).coords.norm();
+        (nearest != *place && is_nearer).then(|| (nearest, vec![mass, at.x, at.y, at.z]))
+    }
+}
+
+/// Where a body is on its link: in the frame of the first of the bodies that are fixed to one another.
+fn on_link(model: &Model, body: usize) -> Isometry3<f64> {
+    let first = model.body_weldid()[body] as usize;
+    let (mut pose, mut at) = (Isometry3::identity(), body);
+    while at != first {
+        let pos = Vector3::from_column_slice(&model.body_pos()[3 * at..3 * at + 3]);
+        let q = &model.body_quat()[4 * at..4 * at + 4];
+        let turn = UnitQuaternion::from_quaternion(Quaternion::new(q[0], q[1], q[2], q[3]));
+        pose = Isometry3::from_parts(pos.into(), turn) * pose;
+        at = model.body_parentid()[at] as usize;
+    }
+    pose
 }
 
 /// A machine that does not stand level.
@@ -208,5 +250,37 @@ impl Effect for GravityTilt {
     fn express(&self, _: &Site<'_>, _: &[f64]) -> Result<Expression, String> {
         let about = |i| Number::is("option/gravity".to_owned(), "tilt", i);
         Ok(Expression::of(vec![about(0), about(1)]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Effect, Payload};
+    use crate::gap::effect::{ModelFile, Place, PlaceKind};
+
+    /// A link of three bodies, the last of which is turned by 90 degrees about x, and has no mass: its y is z of the link.
+    const LINK: &str = r#"<mujoco><worldbody><body name="arm"><joint name="j" axis="0 1 0"/><geom size=".01" mass="1"/>
+        <body name="hand" pos="0 0 -.2" quat=".70710678 .70710678 0 0"><geom size=".01" mass=".1"/>
+        <body name="tip" pos="0 -.05 0"/></body></body></worldbody></mujoco>"#;
+
+    #[test]
+    fn a_payload_is_on_the_nearest_body_with_a_mass() {
+        let file = ModelFile::of_text(LINK.into(), "link.xml").expect("loads");
+        let model = &file.model;
+        assert_eq!(Payload.places(model), [Place::at(PlaceKind::Body, "arm")]);
+        let from = |name: &str, at: [f64; 3]| {
+            let values = [&[0.3][..], &at].concat();
+            Payload.nearest(model, &Place::at(PlaceKind::Body, name), &values)
+        };
+        let (place, values) = from("arm", [0.01, 0.02, -0.24]).expect("another");
+        assert_eq!(place.name, "hand");
+        for (own, known) in values.iter().zip([0.3, 0.01, -0.04, -0.02]) {
+            assert!((own - known).abs() < 1e-7, "{values:?}");
+        }
+        let (place, values) = from("hand", [0.0, 0.15, 0.0]).expect("another");
+        assert_eq!(place.name, "arm");
+        assert!((values[3] + 0.05).abs() < 1e-7, "{values:?}");
+        assert!(from("hand", [0.0, -0.04, 0.0]).is_none());
+        assert!(from("arm", [0.0, 0.0, 0.1]).is_none());
     }
 }

@@ -132,6 +132,12 @@ pub trait Effect: std::fmt::Debug + Sync {
         None
     }
 
+    /// Of the bodies that are fixed to the one where it is, that which it is nearest to, and its values there; nothing if it is
+    /// there, or if where on a link it is said to be makes a difference.
+    fn nearest(&self, _: &Model, _: &Place, _: &[f64]) -> Option<(Place, Vec<f64>)> {
+        None
+    }
+
     /// What it is proportional to, if it is a sine and a cosine of the joint's angle whose period is its last parameter:
     /// then the best period is found without a simulation for each.
     fn periodic(&self) -> Option<Periodic> {
