@@ -101,11 +101,8 @@ impl Windows {
                 continue; // with new derivatives there may be more
             }
             let Some(taken) = self.along(&derivatives, &step, (&x, &here, cost))? else {
-                if fresh && self.factor == 1 {
+                if fresh && !self.shorten_steps() {
                     break;
-                }
-                if fresh {
-                    self.factor /= 2;
                 }
                 continue;
             };

@@ -161,7 +161,9 @@ impl Search<'_> {
                 channel.sigma = own.sigma;
             }
         }
-        held.factor = windows.factor;
+        // the least: which of these windows stick is not known
+        let least = windows.factors.iter().copied().min().unwrap_or(1);
+        held.factors.fill(least);
         let whole = held.len();
         match held.fit(&[], ITERATIONS, &mut |_| true) {
             Ok(fit) if held.len() == whole => Ok(Some((held, fit))),

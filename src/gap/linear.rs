@@ -9,12 +9,13 @@
 //! | Q, R | [`Row::basis`], [`Row::triangle`] |
 //! | r̃, J̃, Qᵀ J | [`Row::residual`], [`Row::parameters`], [`Row::along`] |
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::coarse;
+use super::coarse::{self, Paced};
+use super::followed::Followed;
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::islands::{Partition, is_shown};
@@ -62,7 +63,8 @@ pub(super) struct Row {
 
 /// The linearised problem.
 pub(super) struct Linear {
-    steps: usize,
+    /// of each window: steps that were taken at once
+    factors: Vec<usize>,
     pub windows: Vec<Window>,
     pub placed: Vec<Vec<Placed>>,
     states: Vec<State>,
@@ -89,14 +91,17 @@ impl Windows {
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn linearise(&self, x: &[f64]) -> Result<Linear, SysidError> {
-        match self.linearise_in(x, self.factor) {
+        let is_longer = self.factors.iter().any(|f| *f > 1);
+        match self.linearise_in(x, &self.factors) {
             // what breaks down in longer steps may not in short ones
-            Err(SysidError::Setting { .. }) if self.factor > 1 => self.linearise_in(x, 1),
+            Err(SysidError::Setting { .. }) if is_longer => {
+                self.linearise_in(x, &vec![1; self.len()])
+            }
             result => result,
         }
     }
 
-    fn linearise_in(&self, x: &[f64], factor: usize) -> Result<Linear, SysidError> {
+    fn linearise_in(&self, x: &[f64], factors: &[usize]) -> Result<Linear, SysidError> {
         let here = self.simulate(x, &self.states)?;
         let lost = || SysidError::Setting {
             reason: "the fitted model does not follow its own motion".into(),
@@ -104,79 +109,90 @@ impl Windows {
         let here = here.ok_or_else(lost)?;
         let windows = self.windows();
         let placed = place(&self.problem, &windows, x);
-        let longer = factor as f64;
-        let slow = coarse::problem(&self.problem, longer)?;
-        let slow_windows = coarse::windows(&windows, longer);
-        let slow_placed = coarse::placed(&self.problem, &placed, longer);
-        let pool = Pool::default();
         let states: Vec<State> = here.iter().map(|f| f.state.clone()).collect();
         let directions = self.directions(x, &states)?;
-        let point = Point {
-            problem: &slow,
-            windows: &slow_windows,
-            placed: &slow_placed,
-            x,
-            states: &states,
-            free_states: true,
-            directions: &directions,
-            pool: &pool,
-        };
-        let base: Option<Vec<Simulated>> = point.simulate()?.into_iter().collect();
-        let base = base.ok_or_else(lost)?;
-        let columns = point.columns(&base)?;
-        let contacts = base.iter().flat_map(|s| &s.contacts).copied().collect();
+        let (mut contacts, mut found) = (Contacts::new(), BTreeMap::new());
         let free = self.problem.free_values(x);
-        let mut rows = Vec::with_capacity(windows.len());
-        for (w, (columns, simulated)) in columns.iter().zip(&base).enumerate() {
-            let linear = point.rows(w, simulated, columns, None)?;
-            let (n_state, np) = (point.n_state(), x.len());
-            let n = placed[w].len();
-            let samples = &self.problem.trials[w].samples;
-            let channel: Vec<usize> = placed[w]
-                .iter()
-                .map(|p| samples[p.sample].channel)
-                .collect();
-            let weight: Vec<f64> = (channel.iter().zip(&here[w].residual))
-                .map(|(c, r)| self.problem.channels[*c].norm.weight(*r).sqrt())
-                .collect();
-            let at = |i: usize, j: usize| weight[i] * linear.values[i * linear.width + j];
-            let by_state = DMatrix::from_fn(n, n_state, at);
-            let basis = orthonormal(&by_state);
-            let mut parameters = DMatrix::from_fn(n, np, |i, j| at(i, 2 * n_state + j));
-            let mut residual = DVector::from_fn(n, |i, _| weight[i] * here[w].residual[i]);
-            let along = basis.tr_mul(&parameters);
-            parameters -= &basis * &along;
-            residual -= &basis * basis.tr_mul(&residual);
-            let predicted: Vec<f64> = (simulated.samples(&slow, &slow_windows[w], &slow_placed[w]))
-                .map(|(z, _)| z)
-                .collect();
-            let scale = channel.iter().zip(&weight).map(|(c, weight)| {
-                let c = &self.problem.channels[*c];
-                weight * c.gain.value(&free) / c.sigma
-            });
-            rows.push(Row {
-                factor: scale.collect(),
-                directions: directions.get(w).cloned(),
-                triangle: basis.tr_mul(&by_state),
-                basis,
-                predicted,
-                exact: here[w].predicted.clone(),
-                weight,
-                channel,
-                parameters,
-                along,
-                residual,
-            });
+        let all: Vec<usize> = (0..self.len()).collect();
+        for (factor, some) in coarse::by_factor(factors, &all) {
+            let paced = Paced::new((&self.problem, &windows, &placed), &some, factor as f64)?;
+            let of = |w: &usize| states[*w].clone();
+            let own_states: Vec<State> = some.iter().map(of).collect();
+            let own = |w: &usize| directions.get(*w).cloned();
+            let own_directions: Vec<DMatrix<f64>> = some.iter().filter_map(own).collect();
+            let pool = Pool::default();
+            let point = paced.point(x, &own_states, &own_directions, &pool);
+            let base: Option<Vec<Simulated>> = point.simulate()?.into_iter().collect();
+            let base = base.ok_or_else(lost)?;
+            let columns = point.columns(&base)?;
+            contacts.extend(base.iter().flat_map(|s| &s.contacts).copied());
+            for (k, (w, columns)) in some.into_iter().zip(&columns).enumerate() {
+                let linear = point.rows(k, &base[k], columns, None)?;
+                let at = |i: usize, j: usize| linear.values[i * linear.width + j];
+                let n_state = point.n_state();
+                let by_state = DMatrix::from_fn(placed[w].len(), n_state, at);
+                let by_parameter = |i: usize, j: usize| at(i, 2 * n_state + j);
+                let parameters = DMatrix::from_fn(placed[w].len(), x.len(), by_parameter);
+                let row = self.row((w, &here[w], &free), by_state, parameters);
+                found.insert(
+                    w,
+                    Row {
+                        directions: directions.get(w).cloned(),
+                        predicted: paced.samples(k, &base[k]).collect(),
+                        ..row
+                    },
+                );
+            }
         }
         Ok(Linear {
             partition: Partition::new(&self.problem, &contacts),
             contacts,
-            steps: factor,
+            factors: factors.to_vec(),
             windows,
             placed,
             states,
-            rows,
+            rows: found.into_values().collect(),
         })
+    }
+
+    /// The row of window `w`, which is followed as it is `here`, of derivatives by its first state and parameters.
+    fn row(
+        &self,
+        (w, here, free): (usize, &Followed, &[f64]),
+        mut by_state: DMatrix<f64>,
+        mut parameters: DMatrix<f64>,
+    ) -> Row {
+        let samples = &self.problem.trials[w].samples;
+        let channel: Vec<usize> = here.samples.iter().map(|s| samples[*s].channel).collect();
+        let weight: Vec<f64> = (channel.iter().zip(&here.residual))
+            .map(|(c, r)| self.problem.channels[*c].norm.weight(*r).sqrt())
+            .collect();
+        for (i, weight) in weight.iter().enumerate() {
+            by_state.row_mut(i).scale_mut(*weight);
+            parameters.row_mut(i).scale_mut(*weight);
+        }
+        let basis = orthonormal(&by_state);
+        let mut residual = DVector::from_fn(weight.len(), |i, _| weight[i] * here.residual[i]);
+        let along = basis.tr_mul(&parameters);
+        parameters -= &basis * &along;
+        residual -= &basis * basis.tr_mul(&residual);
+        let scale = channel.iter().zip(&weight).map(|(c, weight)| {
+            let c = &self.problem.channels[*c];
+            weight * c.gain.value(free) / c.sigma
+        });
+        Row {
+            factor: scale.collect(),
+            directions: None,
+            triangle: basis.tr_mul(&by_state),
+            basis,
+            predicted: Vec::new(),
+            exact: here.predicted.clone(),
+            weight,
+            channel,
+            parameters,
+            along,
+            residual,
+        }
     }
 
     /// That first states may change along, see [`Point::directions`]; 0 for what lies still.
@@ -290,32 +306,26 @@ impl Linear {
         exactly: bool,
         simulate: Simulate<'_>,
     ) -> Result<Moved, SysidError> {
-        let longer = if exactly { 1.0 } else { self.steps as f64 };
-        let slow = coarse::problem(held, longer)?;
-        let windows = coarse::windows(&self.windows, longer);
-        let windows: Vec<Window> = some.iter().map(|i| windows[*i].clone()).collect();
-        let placed = coarse::placed(held, &self.placed, longer);
-        let placed: Vec<Vec<Placed>> = some.iter().map(|i| placed[*i].clone()).collect();
-        let states: Vec<State> = some.iter().map(|i| self.states[*i].clone()).collect();
-        let pool = Pool::default();
-        let point = Point {
-            problem: &slow,
-            windows: &windows,
-            placed: &placed,
-            x: &[],
-            states: &states,
-            free_states: true,
-            directions: &[],
-            pool: &pool,
-        };
         let mut out: Moved = vec![None; self.rows.len()];
-        for (k, simulated) in simulate(&point)?.into_iter().enumerate() {
-            let Some(simulated) = simulated else { continue };
-            let row = &self.rows[some[k]];
-            let moved = simulated.samples(&slow, &windows[k], &placed[k]);
-            let before = if exactly { &row.exact } else { &row.predicted };
-            let change = (moved.enumerate()).map(|(i, (z, _))| row.factor[i] * (z - before[i]));
-            out[some[k]] = Some(DVector::from_iterator(row.residual.len(), change));
+        let groups = if exactly {
+            BTreeMap::from([(1, some.to_vec())])
+        } else {
+            coarse::by_factor(&self.factors, some)
+        };
+        for (factor, own) in groups {
+            let at = (held, &self.windows[..], &self.placed[..]);
+            let paced = Paced::new(at, &own, factor as f64)?;
+            let states: Vec<State> = own.iter().map(|w| self.states[*w].clone()).collect();
+            let pool = Pool::default();
+            let moved = simulate(&paced.point(&[], &states, &[], &pool))?;
+            for (k, (&w, moved)) in own.iter().zip(&moved).enumerate() {
+                let Some(moved) = moved else { continue };
+                let row = &self.rows[w];
+                let before = if exactly { &row.exact } else { &row.predicted };
+                let each = paced.samples(k, moved).zip(before).zip(&row.factor);
+                let change = each.map(|((z, before), factor)| factor * (z - before));
+                out[w] = Some(DVector::from_iterator(row.residual.len(), change));
+            }
         }
         Ok(out)
     }

@@ -57,7 +57,8 @@ impl Pulses {
         for part in 0..PARTS {
             let moved = linear.moved(held, &all, false, &mut |point| {
                 let steps = |w: usize| point.windows[w].len() - 1;
-                point.simulate_pushed(&all, &|w, knot, force| {
+                let own: Vec<usize> = (0..point.windows.len()).collect();
+                point.simulate_pushed(&own, &|w, knot, force| {
                     let inside = knot * PARTS / steps(w).max(1) == part;
                     force[dof] = if inside { size } else { 0.0 };
                 })

@@ -125,7 +125,7 @@ pub(super) struct Fit {
     states: Vec<(Vec<f64>, Vec<f64>)>,
     trajectories: Vec<Vec<f64>>,
     sigma: Vec<f64>,
-    factor: usize,
+    factors: Vec<usize>,
     /// s of the windows
     pub length_s: f64,
 }
@@ -140,7 +140,7 @@ impl Fit {
             states: windows.states.iter().map(state).collect(),
             trajectories: windows.trajectories.clone(),
             sigma: windows.problem.sigma(),
-            factor: windows.factor,
+            factors: windows.factors.clone(),
             length_s: windows.length_s,
         }
     }
@@ -152,6 +152,7 @@ impl Fit {
         let fits = kept.len() == self.origin.len()
             && self.states.len() == kept.len()
             && self.trajectories.len() == kept.len()
+            && self.factors.len() == kept.len()
             && self.sigma.len() == windows.problem.channels.len()
             && self.x.len() == windows.problem.parameters.len();
         if !fits {
@@ -162,7 +163,7 @@ impl Fit {
             .map(|(qpos, qvel)| State { qpos, qvel })
             .collect();
         windows.trajectories = self.trajectories;
-        windows.factor = self.factor;
+        windows.factors = self.factors;
         for (channel, sigma) in windows.problem.channels.iter_mut().zip(self.sigma) {
             channel.sigma = sigma;
         }

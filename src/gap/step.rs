@@ -13,14 +13,13 @@
 
 use nalgebra::DVector;
 
-use super::coarse;
+use super::coarse::Paced;
 use super::fit::{information, solved};
 use super::linear::Linear;
 use super::score::Normal;
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::parameter::Parameters;
-use crate::sysid::shooting::columns::Point;
 use crate::sysid::shooting::simulate::Pool;
 
 /// 2 (r(h/2) − r(h)) of every window of a linearisation, weighed as its rows.
@@ -40,31 +39,22 @@ impl Windows {
         linear: &'l Linear,
     ) -> Result<Option<WithoutSteps<'l>>, SysidError> {
         let held = self.held(&self.problem, x);
-        let fine = coarse::problem(&held, 0.5)?;
-        let fine_windows = coarse::windows(&linear.windows, 0.5);
-        let fine_placed = coarse::placed(&held, &linear.placed, 0.5);
-        let pools = [Pool::default(), Pool::default()];
-        let point = |problem, windows, placed, pool| Point {
-            problem,
-            windows,
-            placed,
-            x: &[],
-            states: &self.states,
-            free_states: true,
-            directions: &[],
-            pool,
+        let at = (&held, &linear.windows[..], &linear.placed[..]);
+        let whole = Paced::new(at, &linear.all(), 1.0)?;
+        let fine = Paced::new(at, &linear.all(), 0.5)?;
+        let simulate = |paced: &Paced| {
+            let pool = Pool::default();
+            let point = paced.point(&[], &self.states, &[], &pool);
+            point.simulate()
         };
-        let whole = point(&held, &linear.windows, &linear.placed, &pools[0]).simulate()?;
-        let half = point(&fine, &fine_windows, &fine_placed, &pools[1]).simulate()?;
+        let (before, after) = (simulate(&whole)?, simulate(&fine)?);
         let mut changes = Vec::with_capacity(linear.rows.len());
         for (w, row) in linear.rows.iter().enumerate() {
-            let (Some(whole), Some(half)) = (&whole[w], &half[w]) else {
+            let (Some(before), Some(after)) = (&before[w], &after[w]) else {
                 return Ok(None);
             };
-            let z = whole.samples(&held, &linear.windows[w], &linear.placed[w]);
-            let z_half = half.samples(&fine, &fine_windows[w], &fine_placed[w]);
-            let change =
-                (z.zip(z_half).zip(&row.factor)).map(|((z, z_half), f)| 2.0 * f * (z_half.0 - z.0));
+            let each = whole.samples(w, before).zip(fine.samples(w, after));
+            let change = (each.zip(&row.factor)).map(|((z, half), f)| 2.0 * f * (half - z));
             changes.push(DVector::from_iterator(row.residual.len(), change));
         }
         Ok(Some(WithoutSteps { linear, changes }))

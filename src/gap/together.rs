@@ -235,7 +235,7 @@ mod tests {
         let hidden = write(&base, law.effect, &law.place, &law.values).expect("written");
         let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
         searching_hammered(&base, (&hidden.file, 3.0), config, |search, _| {
-            assert!(search.windows.factor > 1);
+            assert!(search.windows.factors.iter().all(|f| *f > 1));
             let linear = search.windows.linearise(&search.x).expect("linear");
             let normal = information(&linear, search.x.len());
             let absorb = Absorb::new(&normal, &search.windows.problem.parameters, &search.x);

@@ -54,8 +54,8 @@ pub(super) struct Windows {
     pub still: Vec<Vec<usize>>,
     /// s
     pub length_s: f64,
-    /// steps of the model that derivatives take at once, see [`super::coarse`]
-    pub factor: usize,
+    /// of each window: steps of the model that derivatives take at once, see [`super::coarse`]
+    pub factors: Vec<usize>,
 }
 
 /// The shortest length whose accelerations are not noise.
@@ -151,6 +151,7 @@ impl Windows {
             }
         }
         let mut cut = Self {
+            factors: vec![1; problem.trials.len()],
             problem,
             origin,
             trajectories,
@@ -158,7 +159,6 @@ impl Windows {
             measured: Default::default(),
             still,
             length_s,
-            factor: 1,
         };
         let each = cut.windows().into_iter().zip(&cut.trajectories);
         let states: Vec<[State; 2]> = each
@@ -190,7 +190,7 @@ impl Windows {
                 .map(|way| kept.iter().map(|&i| way[i].clone()).collect()),
             still: kept.iter().map(|&i| self.still[i].clone()).collect(),
             length_s: self.length_s,
-            factor: self.factor,
+            factors: kept.iter().map(|&i| self.factors[i]).collect(),
         }
     }
 
