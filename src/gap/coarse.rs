@@ -235,11 +235,13 @@ impl Windows {
         }
     }
 
-    /// Lets derivatives take half the steps at once; whether any took more than one.
+    /// Lets derivatives take half the steps at once, or single ones where windows differ: others may stick by now. Whether any took
+    /// more than one.
     pub(super) fn shorten_steps(&mut self) -> bool {
         let any = self.factors.iter().any(|f| *f > 1);
+        let differ = self.factors.windows(2).any(|two| two[0] != two[1]);
         for factor in &mut self.factors {
-            *factor = (*factor / 2).max(1);
+            *factor = if differ { 1 } else { (*factor / 2).max(1) };
         }
         any
     }
@@ -304,6 +306,7 @@ mod tests {
             windows.factors.fill(4);
             let all_long = windows.responses(x).expect("linear");
             windows.factors.fill(1);
+            let exact_steps = windows.factors.clone();
             let exact = windows.responses(x).expect("linear");
             let most = |of: &[Column]| {
                 let each = exact.iter().zip(of).map(|(a, b)| wrong(a, b));
@@ -311,9 +314,10 @@ mod tests {
             };
             let (each, all) = (most(&found), most(&all_long));
             assert!(each < WRONG_ALONE && all > 2.0 * each, "{each} {all}");
-            windows.factors[0] = 4;
-            assert!(windows.shorten_steps() && windows.factors[..2] == [2, 1]);
-            windows.shorten_steps();
+            windows.factors.fill(4);
+            assert!(windows.shorten_steps() && windows.factors == vec![2; n]);
+            windows.factors[0] = 8;
+            assert!(windows.shorten_steps() && windows.factors == exact_steps);
             assert!(!windows.shorten_steps());
         });
     }
