@@ -4,8 +4,8 @@
 //! Residuals are therefore simulated in the model's own step h, and derivatives, as differences of two simulations alike,
 //! in steps of c h. c is the largest of 8, 4, 2 with which the motors and every parameter act as in steps of h, in a part of the
 //! windows, looked at as a whole. Where joints stick a few windows spoil that for all: then it is chosen for each by itself.
-//! Fits halve it where no step of theirs leads on ([`super::fit`]); where they have ended it is chosen anew, for the screen and
-//! for what is fitted next.
+//! Fits halve it, or take single steps where it differs, where no step of theirs leads on ([`super::fit`]); where they have ended
+//! it is chosen anew, for the screen and for what is fitted next.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -56,7 +56,7 @@ fn paced(model: &Arc<Model>, factor: f64) -> Result<Arc<Model>, SysidError> {
 
 /// Windows in steps of another length.
 pub(super) struct Paced {
-    pub problem: Problem,
+    problem: Problem,
     windows: Vec<Window>,
     placed: Vec<Vec<Placed>>,
 }
@@ -208,9 +208,14 @@ impl Windows {
         let Ok(exact) = self.responses(x) else {
             return;
         };
-        let usual: Vec<f64> = (exact.iter())
-            .map(|column| USUAL * (squares(&column.parts) / self.len() as f64).sqrt())
-            .collect();
+        // lengths of which a part may be wrong in any window
+        let usual = (exact.iter()).map(|column| {
+            if is_small(column) {
+                return f64::INFINITY;
+            }
+            USUAL * (squares(&column.parts) / self.len() as f64).sqrt()
+        });
+        let usual: Vec<f64> = usual.collect();
         let mut left: Vec<usize> = (0..self.len()).collect();
         for &factor in possible {
             let mut some = self.only(&left);
@@ -223,7 +228,7 @@ impl Windows {
                 let mut each = exact.iter().zip(&found).zip(&usual);
                 let serves = each.all(|((a, b), usual)| {
                     let (own, wrong) = (a.parts[w].norm(), (&a.parts[w] - &b.parts[k]).norm());
-                    is_small(a) || wrong <= WRONG_ALONE * own.max(*usual)
+                    wrong <= WRONG_ALONE * own.max(*usual)
                 });
                 if serves {
                     self.factors[w] = factor;
