@@ -218,6 +218,9 @@ impl Windows {
         let usual: Vec<f64> = usual.collect();
         let mut left: Vec<usize> = (0..self.len()).collect();
         for &factor in possible {
+            if left.is_empty() {
+                break;
+            }
             let mut some = self.only(&left);
             some.factors.fill(factor);
             let Ok(found) = some.responses(x) else {

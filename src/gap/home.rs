@@ -2,13 +2,11 @@
 //!
 //! Bodies that are fixed to one another are one link: a mass on a forearm, 0.2 m along it, is a mass on the tip that is fixed there.
 //! No motion tells one from the other. It is looked for on one of them and said of the nearest ([`Effect::nearest`]), in whose
-//! frame its numbers are then fitted once more.
+//! frame its numbers are then fitted once more, as of one law by another name ([`super::one_law`]).
 //!
 //! [`Effect::nearest`]: super::effect::Effect::nearest
 
-use super::alike::{apart, price};
 use super::model::Chosen;
-use super::name::APART;
 use super::search::Search;
 use super::{GapError, Watch};
 
@@ -31,13 +29,7 @@ impl Search<'_> {
             place,
             values,
         };
-        let Some(fitted) = self.fitted_instead(i, there, f64::INFINITY, watch)? else {
-            return Ok(());
-        };
-        let price_here = price(self.cost, &self.x);
-        if apart(price(fitted.cost, &fitted.x), price_here) < APART {
-            *self = self.settled_with(fitted, watch)?;
-        }
+        self.exchange_if_as_good(i, there, watch)?;
         Ok(())
     }
 }

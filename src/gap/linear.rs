@@ -397,8 +397,7 @@ impl Linear {
                 control.1 = 0.0;
             }
         }
-        let all: Vec<usize> = (0..self.windows.len()).collect();
-        let moved = self.moved(&still, &all, false, &mut |point| point.simulate())?;
+        let moved = self.moved(&still, &self.all(), false, &mut |point| point.simulate())?;
         // elsewhere a solver's rounding would look like them
         Ok(Some(self.part_of(
             &moved,

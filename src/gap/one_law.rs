@@ -68,7 +68,20 @@ impl Search<'_> {
         if !other.effect.about().is_variety() || !self.has(DRY, &other.place) {
             return Ok(false);
         }
-        let Some(fitted) = self.fitted_instead(i, other.clone(), f64::INFINITY, watch)? else {
+        self.exchange_if_as_good(i, other.clone(), watch)
+    }
+
+    /// Puts another effect in the place of effect `i` where it can be fitted as well; whether it did.
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn exchange_if_as_good(
+        &mut self,
+        i: usize,
+        instead: Chosen,
+        watch: &mut Watch<'_>,
+    ) -> Result<bool, GapError> {
+        let Some(fitted) = self.fitted_instead(i, instead, f64::INFINITY, watch)? else {
             return Ok(false);
         };
         let is_as_good = apart(price(fitted.cost, &fitted.x), price(self.cost, &self.x)) < APART;

@@ -52,7 +52,7 @@ impl Pulses {
         size: f64,
     ) -> Result<Self, GapError> {
         let dof = held.model.jnt_dofadr()[joint] as usize;
-        let all: Vec<usize> = (0..linear.windows.len()).collect();
+        let all = linear.all();
         let mut columns = Vec::with_capacity(PARTS);
         for part in 0..PARTS {
             let moved = linear.moved(held, &all, false, &mut |point| {

@@ -178,7 +178,7 @@ impl Effect for Payload {
             Some((other, there))
         });
         let (nearest, at) = seen.min_by(|a, b| a.1.norm().total_cmp(&b.1.norm()))?;
-        let is_nearer = at.norm() < Point3::new(x, y, z).coords.norm();
+        let is_nearer = at.norm() < Vector3::new(x, y, z).norm();
         (nearest != *place && is_nearer).then(|| (nearest, vec![mass, at.x, at.y, at.z]))
     }
 }
