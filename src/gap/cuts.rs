@@ -311,14 +311,16 @@ mod tests {
         });
     }
 
-    /// A mass that runs off ridges: from what was measured of its first states the right law ends up as far off as none, and once they
-    /// are fitted it does not.
+    /// A mass that runs off ridges: what is measured of its first states is too far off for the right law, which follows once they are
+    /// fitted; to a model without ridges they are no help.
     #[test]
     fn a_right_model_is_near_from_states_that_are_fitted() {
         let base = machine(r#"stiffness="20""#, "");
         let ridges = chosen(&base, "cogging", "a", &[13.0, 0.0, 60.0]);
         let hidden = write(&base, ridges.effect, &ridges.place, &ridges.values).expect("written");
-        searching_cut(&base, &hidden.file, CONFIG, |search, cuts, watch| {
+        // parameters are known: nothing but first states can be off
+        let known = CONFIG.replace("0.02", "1e-6");
+        searching_cut(&base, &hidden.file, &known, |search, cuts, watch| {
             let astray = |search: &Search<'_>, watch: &mut Watch<'_>| {
                 let mut windows = search.cut(cuts, cuts.length_s).expect("cut");
                 windows.begin_as_measured(&search.x).expect("simulated");
@@ -329,13 +331,10 @@ mod tests {
             };
             let without = astray(search, watch);
             assert!(without.1 > 0.9 * without.0, "{without:?}");
-            let fits = search.fitted(std::slice::from_ref(&ridges), 10, watch);
+            let fits = search.fitted(std::slice::from_ref(&ridges), 0, watch);
             search.take(fits.expect("fitted").expect("follows"));
             let with = astray(search, watch);
-            assert!(
-                with.0 > 0.3 * without.0 && with.1 < 0.03 * with.0,
-                "{with:?}"
-            );
+            assert!(with.1 < 0.1 * with.0, "{with:?}");
         });
     }
 
