@@ -163,8 +163,8 @@ impl Effect for Cogging {
             shows: Shows::Force,
             signature: "a sin(n q) + b cos(n q): periodic in the angle, without load and at any speed",
             parameters: &[
-                Parameter::amplitude("sine", Dimension::Force, [0.02, 0.3]).signed(),
-                Parameter::amplitude("cosine", Dimension::Force, [0.02, 0.3]).signed(),
+                Parameter::amplitude("sine", Dimension::Force, [0.02, 0.5]).signed(),
+                Parameter::amplitude("cosine", Dimension::Force, [0.02, 0.5]).signed(),
                 Parameter::shape(
                     "per_turn",
                     Dimension::PerTravel,
