@@ -13,10 +13,11 @@
 //! before it ends, if that is nearer. One that still costs as much as ten is looked for from elsewhere: a single window that ends
 //! at a limit by mistake would have all the weight.
 
+use std::collections::BTreeMap;
 use std::mem;
 
 use super::followed::Followed;
-use super::linear::{Linear, damped};
+use super::linear::{Linear, Row, damped};
 use super::windows::Windows;
 use crate::sysid::shooting::window::State;
 
@@ -102,18 +103,24 @@ impl Windows {
     fn approach(&mut self, here: &mut [Followed], mut left: Vec<usize>, enough: f64) {
         self.states = here.iter().map(|f| f.state.clone()).collect();
         let mut damping = vec![FIRST_DAMPING; here.len()];
+        // derivatives of each at its state
+        let mut rows: BTreeMap<usize, Row> = BTreeMap::new();
         for _ in 0..STEPS {
-            if left.is_empty() {
-                return;
+            let moved: Vec<usize> = (left.iter().copied())
+                .filter(|w| !rows.contains_key(w))
+                .collect();
+            if !moved.is_empty() {
+                let Ok(linear) = self.only(&moved).linearise(&[]) else {
+                    return;
+                };
+                rows.extend(moved.into_iter().zip(linear.rows));
             }
-            let some = self.only(&left);
-            let Ok(linear) = some.linearise(&[]) else {
-                return;
-            };
-            let mut states = some.states.clone();
+            let mut states = self.states.clone();
             let mut tried: Vec<usize> = Vec::new();
-            for (k, &w) in left.iter().enumerate() {
-                let row = &linear.rows[k];
+            for w in left {
+                let Some(row) = rows.get(&w) else {
+                    continue;
+                };
                 let along = here[w].along(row);
                 let own = damped(&row.triangle, &along, damping[w]);
                 let rest = &along + &row.triangle * &own;
@@ -122,25 +129,25 @@ impl Windows {
                 }
                 // a step may leave what the engine accepts: then it is none
                 let ds = row.change(own);
-                let Ok(state) = here[w].state.moved(&some.problem, ds.as_slice()) else {
+                let Ok(state) = here[w].state.moved(&self.problem, ds.as_slice()) else {
                     continue;
                 };
-                states[k] = state;
-                tried.push(k);
+                states[w] = state;
+                tried.push(w);
             }
             if tried.is_empty() {
                 break;
             }
-            let Ok(found) = some.simulate_some(&[], &states, &tried) else {
+            let Ok(found) = self.simulate_some(&[], &states, &tried) else {
                 return;
             };
             let mut next = Vec::new();
-            for (&k, found) in tried.iter().zip(found) {
-                let w = left[k];
+            for (&w, found) in tried.iter().zip(found) {
                 match found {
                     Some(found) if found.cost < here[w].cost => {
                         self.states[w] = found.state.clone();
                         here[w] = found;
+                        rows.remove(&w);
                         damping[w] = (damping[w] * 0.1).max(LEAST_DAMPING);
                         next.push(w);
                     }
