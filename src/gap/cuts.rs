@@ -168,10 +168,13 @@ impl Search<'_> {
         let mut length_s = cuts.length_s;
         while length_s >= LONGER * self.windows.length_s {
             let mut windows = self.cut(cuts, length_s)?;
-            windows.begin_as_measured(&self.x)?;
-            let mut astray = windows.astray(&self.x, &self.noise)?;
-            if astray >= ASTRAY && windows.fit_states(&self.x, watch)? {
-                astray = windows.astray(&self.x, &self.noise)?;
+            let mut begun = windows.clone();
+            begun.begin_as_measured(&self.x)?;
+            let mut astray = begun.astray(&self.x, &self.noise)?;
+            // a fit that needs no other states ends sooner from those of the first step
+            if astray >= ASTRAY && begun.fit_states(&self.x, watch)? {
+                astray = begun.astray(&self.x, &self.noise)?;
+                windows = begun;
             }
             if astray < ASTRAY {
                 self.go_on_in(windows, cuts)?;
