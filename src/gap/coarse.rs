@@ -216,7 +216,7 @@ impl Windows {
             USUAL * (squares(&column.parts) / self.len() as f64).sqrt()
         });
         let usual: Vec<f64> = usual.collect();
-        let mut left: Vec<usize> = (0..self.len()).collect();
+        let mut left = self.all();
         for &factor in possible {
             if left.is_empty() {
                 break;

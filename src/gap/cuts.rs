@@ -167,11 +167,11 @@ impl Search<'_> {
     ) -> Result<bool, GapError> {
         let mut length_s = cuts.length_s;
         while length_s >= LONGER * self.windows.length_s {
+            // a fit that needs no other states ends sooner from those of the first step
             let mut windows = self.cut(cuts, length_s)?;
             let mut begun = windows.clone();
             begun.begin_as_measured(&self.x)?;
             let mut astray = begun.astray(&self.x, &self.noise)?;
-            // a fit that needs no other states ends sooner from those of the first step
             if astray >= ASTRAY && begun.fit_states(&self.x, watch)? {
                 astray = begun.astray(&self.x, &self.noise)?;
                 windows = begun;
@@ -216,7 +216,7 @@ impl Windows {
     /// of derivatives that suits the model.
     fn begin_as_measured(&mut self, x: &[f64]) -> Result<(), SysidError> {
         self.choose_step(x)?;
-        let all: Vec<usize> = (0..self.len()).collect();
+        let all = self.all();
         let mut best = vec![None; self.len()];
         for way in &self.measured {
             self.nearer(x, way, &all, &mut best)?;
@@ -231,8 +231,7 @@ impl Windows {
 
     /// Fits first states alone, parameters at `x`; whether the model follows all windows, which else stay as they are.
     fn fit_states(&mut self, x: &[f64], watch: &mut Watch<'_>) -> Result<bool, GapError> {
-        let mut own = self.clone();
-        own.problem = self.held(&self.problem, x);
+        let mut own = self.holding(x);
         let fitted = sound(own.fit(&[], STATES_ITERATIONS, &mut watch.fit_nearly()))?;
         let follows = fitted.is_some() && own.len() == self.len();
         if follows {

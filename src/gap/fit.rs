@@ -162,7 +162,7 @@ impl Windows {
     /// # Errors
     /// None can be simulated; the engine refuses a number.
     pub(super) fn followed(&mut self, x: &[f64]) -> Result<Vec<Followed>, SysidError> {
-        let all: Vec<usize> = (0..self.len()).collect();
+        let all = self.all();
         let found = self.simulate_some(x, &self.states, &all)?;
         let sound: Vec<usize> = all.into_iter().filter(|&i| found[i].is_some()).collect();
         if sound.is_empty() {
@@ -194,7 +194,7 @@ impl Windows {
         changes: &[DVector<f64>],
     ) -> Result<Option<Vec<Followed>>, SysidError> {
         let mut best: Vec<Option<Followed>> = vec![None; self.len()];
-        let mut left: Vec<usize> = (0..self.len()).collect();
+        let mut left = self.all();
         for part in STATE_PARTS {
             let states = (here.iter().zip(changes))
                 .map(|(f, ds)| f.state.moved(&self.problem, (ds * part).as_slice()))

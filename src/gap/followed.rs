@@ -39,8 +39,7 @@ impl Windows {
         x: &[f64],
         states: &[State],
     ) -> Result<Option<Vec<Followed>>, SysidError> {
-        let all: Vec<usize> = (0..self.len()).collect();
-        let followed = self.simulate_some(x, states, &all)?;
+        let followed = self.simulate_some(x, states, &self.all())?;
         Ok(followed.into_iter().collect())
     }
 

@@ -113,8 +113,7 @@ impl Windows {
         let directions = self.directions(x, &states)?;
         let (mut contacts, mut found) = (Contacts::new(), BTreeMap::new());
         let free = self.problem.free_values(x);
-        let all: Vec<usize> = (0..self.len()).collect();
-        for (factor, some) in coarse::by_factor(factors, &all) {
+        for (factor, some) in coarse::by_factor(factors, &self.all()) {
             let paced = Paced::new((&self.problem, &windows, &placed), &some, factor as f64)?;
             let of = |w: &usize| states[*w].clone();
             let own_states: Vec<State> = some.iter().map(of).collect();

@@ -51,8 +51,7 @@ impl Windows {
         if left.is_empty() {
             return;
         }
-        let mut held = self.clone();
-        held.problem = self.held(&self.problem, x);
+        let mut held = self.holding(x);
         // steps for another model may have led a window astray
         let ends =
             (0..here.len()).map(|w| self.preceding(w).map_or(&here[w].state, |p| &here[p].end));

@@ -206,6 +206,11 @@ impl Windows {
         self.problem.trials.len()
     }
 
+    /// The index of each.
+    pub(super) fn all(&self) -> Vec<usize> {
+        (0..self.len()).collect()
+    }
+
     /// The stretch of time that each is of.
     pub(super) fn stretches(&self) -> Vec<usize> {
         let recording: Vec<usize> = self.origin.iter().map(|o| o.0).collect();
@@ -238,6 +243,14 @@ impl Windows {
         let names = &self.problem.parameters.all;
         let own = |name: &str| names.iter().position(|p| p.name == name).map(|i| values[i]);
         hold(problem, |p| own(&p.name).unwrap_or(p.start))
+    }
+
+    /// The same with parameters held at `x`: first states alone are free.
+    pub(super) fn holding(&self, x: &[f64]) -> Self {
+        Self {
+            problem: self.held(&self.problem, x),
+            ..self.clone()
+        }
     }
 }
 
