@@ -62,6 +62,7 @@ mod settle;
 mod shapes;
 mod stages;
 mod step;
+mod telling;
 mod together;
 mod toss;
 mod untestable;

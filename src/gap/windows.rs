@@ -20,6 +20,7 @@ use std::sync::Arc;
 use super::coarse;
 use super::lying::Lying;
 use super::score;
+use super::telling::telling;
 use crate::mujoco::Model;
 use crate::sysid::SysidError;
 use crate::sysid::holdout::hold;
@@ -32,8 +33,6 @@ use crate::sysid::start;
 const LENGTHS_S: [f64; 3] = [0.2, 0.4, 0.8];
 /// Noise of a window's acceleration that is small enough, as a part of what the motion has.
 const FINE: f64 = 0.02;
-/// Samples of a channel in a window that are kept; more say the same again.
-const SAMPLES: usize = 96;
 /// Least steps of a window.
 const LEAST_STEPS: usize = 4;
 
@@ -283,22 +282,13 @@ fn part(whole: &Problem, trial: &Trial, first: usize, last: usize) -> Trial {
     let h = whole.model.timestep();
     let (from, to) = (first as f64 * h, last as f64 * h);
     let inside = |s: &&Sample| s.time >= from - SLACK && s.time <= to + SLACK;
-    let mut counts = vec![0_usize; whole.channels.len()];
-    for s in trial.samples.iter().filter(inside) {
-        counts[s.channel] += 1;
-    }
-    let mut seen = vec![0_usize; whole.channels.len()];
-    let thinned = trial.samples.iter().filter(inside).filter(|s| {
-        let every = counts[s.channel].div_ceil(SAMPLES);
-        seen[s.channel] += 1;
-        (seen[s.channel] - 1).is_multiple_of(every)
-    });
-    let samples = thinned
+    let own: Vec<Sample> = (trial.samples.iter().filter(inside))
         .map(|s| Sample {
             time: s.time - from,
             ..*s
         })
         .collect();
+    let samples = telling(&own, whole.channels.len());
     let controls = trial.controls.iter().map(|series| {
         // some before the window: commands may act late
         let begin = series.partition_point(|(t, _)| *t <= from - crate::supplement::MEMORY_S);
