@@ -72,7 +72,9 @@ impl Point<'_> {
             let s = &samples[p.sample];
             let channel = &self.problem.channels[s.channel];
             let predicted = channel.reading(&free, z);
-            sum += channel.norm.cost((predicted - s.value) / channel.sigma);
+            sum += channel
+                .norm
+                .cost((predicted - s.value) / (channel.sigma * s.spread));
         }
         if let (Some(sigma), true) = (jump_sigma, window.followed && window.whole) {
             let sigma = self.jump_sigma(window, sigma);
@@ -106,9 +108,9 @@ impl Point<'_> {
             let s = &samples[p.sample];
             let channel = &self.problem.channels[s.channel];
             let (gain, bias) = (channel.gain.value(&free), channel.bias.value(&free));
-            let r = (gain * z + bias - s.value) / channel.sigma;
-            let weight = channel.norm.weight(r).sqrt();
-            let factor = weight / channel.sigma;
+            let sigma = channel.sigma * s.spread;
+            let r = (gain * z + bias - s.value) / sigma;
+            let factor = channel.norm.weight(r).sqrt() / sigma;
             let row = rows.add(window.first + p.knot);
             let (own, rest) = row.split_at_mut(n_state);
             let unknowns = own.iter_mut().chain(&mut rest[n_state..n_state + np]);
@@ -126,7 +128,7 @@ impl Point<'_> {
                     row[2 * n_state + j] += factor * derivative * if log { free[j] } else { 1.0 };
                 }
             }
-            row[width - 1] = weight * r;
+            row[width - 1] = sigma * factor * r;
         }
         if let (Some(sigma), true) = (jump_sigma, window.followed && window.whole) {
             let sigma = self.jump_sigma(window, sigma);
