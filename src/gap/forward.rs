@@ -4,7 +4,7 @@
 //! decides is taken from the fits: the cost, 2 more for each number, then for the best first
 //!
 //! - the cost of the held-out recordings, which has to fall by a twentieth, or where it is hardly more than noise make them a
-//!   thousand times likelier, and of the priors, which belongs to both;
+//!   hundred times likelier, and of the priors, which belongs to both;
 //! - significance ([`super::evidence`]), in which held-out recordings have a say ([`super::held_out`]);
 //! - or, where noise explains all but a tenth of what the fit with it leaves, and that is less by a fifth and much in either
 //!   recordings, significance by that noise, which needs no stretches that agree: a motor's ripple or bound may show in one;
@@ -46,7 +46,7 @@ pub(super) const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
 const OF_USE: f64 = 0.05;
 /// Where that is hardly more than noise, it will do to make them so much likelier.
-const LIKELIER: f64 = 1e3;
+const LIKELIER: f64 = 1e2;
 /// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
 const MUCH: f64 = 0.2;
 /// Part of what noise does not explain of either cost that will do as well.
