@@ -4,10 +4,10 @@
 //! decides is taken from the fits: the cost, 2 more for each number, then for the best first
 //!
 //! - the cost of the held-out recordings, which has to fall by a twentieth, or where it is hardly more than noise make them a
-//!   hundred times likelier, and of the priors, which belongs to both;
+//!   thousand times likelier, and of the priors, which belongs to both;
 //! - significance ([`super::evidence`]), in which held-out recordings have a say ([`super::held_out`]);
-//! - or, where noise explains all but a tenth of what the fit with it leaves, and that is less by a fifth and much in either
-//!   recordings, significance by that noise, which needs no stretches that agree: a motor's ripple or bound may show in one;
+//! - or, where noise explains all but a tenth of what the fit with it leaves, and that is less by a fifth, significance by that
+//!   noise, which needs no stretches that agree: a motor's ripple or bound may show in one;
 //! - size; a small one, and one of which fitted parameters explain nearly all, is kept where it is most of what is left, or
 //!   of what noise does not explain of that. The fall has to be owed to the effect ([`super::owed`]), and what no fitted parameter
 //!   could have explained of it is a thousandth of the motors' at least: less is the work of steps, of how friction is rounded off and
@@ -45,8 +45,6 @@ const NEAR: f64 = 0.2;
 pub(super) const LEADING: f64 = 0.5;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
 const OF_USE: f64 = 0.05;
-/// Where that is hardly more than noise, it will do to make them so much likelier.
-const LIKELIER: f64 = 1e2;
 /// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
 const MUCH: f64 = 0.2;
 /// Part of what noise does not explain of either cost that will do as well.
@@ -212,7 +210,7 @@ impl Search<'_> {
             let large = self.limits.large(evidence.size) && visible >= HARDLY_VISIBLE;
             let sure = self.limits.significant(evidence.p_value);
             let noise = self.cost - unexplained;
-            let plainly = if much && gain >= MUCH && is_noise(own.cost, noise) {
+            let plainly = if gain >= MUCH && is_noise(own.cost, noise) {
                 by_noise(of.candidate, fall(own)) * tests(screen) as f64
             } else {
                 1.0
@@ -305,7 +303,7 @@ fn by_noise(candidate: &Candidate, fall: f64) -> f64 {
 pub(super) fn of_use(held: &Held) -> f64 {
     let part = OF_USE * held.cost;
     if held.is_noise() {
-        part.min(LIKELIER.ln())
+        part.min(held.likelier())
     } else {
         part
     }

@@ -23,6 +23,8 @@ use crate::sysid::SysidError;
 const BLOCKS: usize = 16;
 /// Part of the cost that noise is not taken to explain.
 const UNEXPLAINED: f64 = 0.1;
+/// How much likelier an effect has to make what is hardly more than noise.
+const LIKELIER: f64 = 1e3;
 
 /// Costs of held-out windows.
 #[derive(Debug, Clone)]
@@ -31,6 +33,8 @@ pub(super) struct Held {
     pub cost: f64,
     /// that the noise of the sensors explains
     noise: f64,
+    /// the same if channels were weighed by that noise
+    noise_alone: f64,
     /// of every window
     each: Vec<f64>,
     block_of: Vec<usize>,
@@ -43,6 +47,7 @@ impl Held {
         Self {
             cost,
             noise,
+            noise_alone: noise,
             each: vec![cost],
             block_of: vec![0],
         }
@@ -56,6 +61,12 @@ impl Held {
     /// Whether noise explains all that it may be taken to.
     pub(super) fn is_noise(&self) -> bool {
         is_noise(self.cost, self.noise)
+    }
+
+    /// Fall of the cost by which noise is [`LIKELIER`] times likelier: channels may weigh less than their noise lets them, and costs
+    /// with them.
+    pub(super) fn likelier(&self) -> f64 {
+        LIKELIER.ln() * self.noise / self.noise_alone.max(f64::MIN_POSITIVE)
     }
 
     /// Chance of so much less than `before`.
@@ -127,11 +138,13 @@ impl Search<'_> {
         let channels = held.problem.channels.iter();
         let own: Vec<Option<usize>> = channels.map(|c| own(&c.name)).collect();
         let samples = held.problem.samples();
+        let places: Vec<usize> = samples.filter_map(|s| own[s.channel]).collect();
         let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
         let (_, windows, x) = of;
         Ok(Some(Held {
             cost: fit.cost + windows.problem.parameters.prior_cost(x),
-            noise: self.noise_cost(samples.filter_map(|s| own[s.channel])),
+            noise_alone: 0.5 * places.len() as f64,
+            noise: self.noise_cost(places.into_iter()),
             each: fit.each,
             block_of: stretches(&recording, BLOCKS),
         }))
@@ -195,6 +208,7 @@ mod tests {
         let held = |cost| Held {
             cost,
             noise: 8.0,
+            noise_alone: 8.0,
             each: Vec::new(),
             block_of: Vec::new(),
         };
@@ -213,6 +227,20 @@ mod tests {
         assert_eq!(both(17.7), [false, false]);
         assert!(falls(None, None, of_rest) && !falls(Some(&before), None, of_rest));
         assert!((unexplained(20.0, 19.5) - 2.0).abs() < 1e-12);
+    }
+
+    /// Channels that weigh a hundredth make all costs a hundredth.
+    #[test]
+    fn noise_is_as_much_likelier_whatever_channels_weigh() {
+        let weighed = |part: f64| Held {
+            noise: part * 950.0,
+            noise_alone: 950.0,
+            ..Held::of(part * 1000.0, 0.0)
+        };
+        for part in [1.0, 0.01] {
+            assert!(part * 7.0 > weighed(part).likelier());
+            assert!(part * 6.8 < weighed(part).likelier());
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! - of practical size: its response at least [`Limits::size`] of that of the motors, its gain at least
 //!   [`Limits::gain`] of what the noise of the sensors does not explain of the cost,
 //! - and of use where it was not fitted: held-out recordings, their first states alone estimated, cost a twentieth less, or are a
-//!   hundred times likelier where they are nearly noise.
+//!   thousand times likelier where they are nearly noise.
 
 use nalgebra::DVector;
 
