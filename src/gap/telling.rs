@@ -61,6 +61,7 @@ mod tests {
 
     const COUNT: f64 = 2e-4;
     const N: usize = 400;
+    const TRIALS: usize = 300;
 
     /// `value` of time 0 to 1, read N times, as `crate::sysid::trial` makes samples of it.
     fn read(value: impl Fn(f64) -> f64) -> Vec<Sample> {
@@ -116,7 +117,6 @@ mod tests {
     fn what_creeps_tells_of_accelerations_as_surely_as_is_said() {
         let mut rng = rng::stream(0, Purpose::SensorNoise, 0, 0);
         let mut squares = [0.0; 2];
-        const TRIALS: usize = 300;
         for _ in 0..TRIALS {
             let [at, speed, bend] =
                 [1.0, 3.0, 3.0].map(|size| size * COUNT * rng::normal(&mut rng));
