@@ -2,7 +2,7 @@
 //!
 //! A counter is off by as much as half a count. Where a joint crosses many counts these errors are like noise; where it rests or
 //! creeps there is one error for as long as the count stays, and taken for so many of their own they tell of accelerations that
-//! never were: a motor came out 0.5 % too weak, four standard deviations, for the sake of four windows of eighty in which other
+//! never were: a motor came out 0.5 % too weak, four standard deviations, for the sake of four windows of 75 in which other
 //! joints moved by less than seven counts. A reading in a run of m equal ones, in a window with n of its channel, therefore counts
 //!
 //! ```text
@@ -58,20 +58,20 @@ mod tests {
 
     use super::*;
     use crate::rng::{self, Purpose};
+    use crate::sysid::trial::spreads;
 
     const COUNT: f64 = 2e-4;
     const N: usize = 400;
     const TRIALS: usize = 300;
 
-    /// `value` of time 0 to 1, read N times, as `crate::sysid::trial` makes samples of it.
+    /// `value` of time 0 to 1, read N times.
     fn read(value: impl Fn(f64) -> f64) -> Vec<Sample> {
-        let values: Vec<f64> = (0..N).map(|k| value(k as f64 / N as f64)).collect();
-        let runs = values.chunk_by(|a, b| a.total_cmp(b).is_eq());
-        let spreads = runs.flat_map(|run| vec![(run.len() as f64).sqrt(); run.len()]);
-        let each = values.iter().zip(spreads).enumerate();
-        each.map(|(k, (&value, spread))| Sample {
+        let times = (0..N).map(|k| k as f64 / N as f64);
+        let values: Vec<(f64, f64)> = times.map(|t| (t, value(t))).collect();
+        let each = values.iter().zip(spreads(&values));
+        each.map(|(&(time, value), spread)| Sample {
             channel: 0,
-            time: k as f64 / N as f64,
+            time,
             value,
             spread,
         })

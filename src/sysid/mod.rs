@@ -69,7 +69,7 @@ pub mod summary;
 mod surface;
 mod timing;
 mod track;
-mod trial;
+pub(crate) mod trial;
 
 use thiserror::Error;
 

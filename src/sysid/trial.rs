@@ -218,7 +218,7 @@ fn beyond_range(model: &Model, joint: usize, values: &[(f64, f64)]) -> Option<St
 }
 
 /// √n for every reading in a run of n equal ones.
-fn spreads(values: &[(f64, f64)]) -> Vec<f64> {
+pub(crate) fn spreads(values: &[(f64, f64)]) -> Vec<f64> {
     values
         .chunk_by(|a, b| a.1 == b.1)
         .flat_map(|run| vec![(run.len() as f64).sqrt(); run.len()])
