@@ -81,7 +81,7 @@ impl Windows {
                 .map(|(&z, p)| {
                     let s = &samples[p.sample];
                     let c = &self.problem.channels[s.channel];
-                    let r = (c.reading(&free, z) - s.value) / c.sigma;
+                    let r = (c.reading(&free, z) - s.value) / c.sigma_of(s);
                     cost += c.norm.cost(r);
                     r
                 })
@@ -105,7 +105,7 @@ impl Windows {
             let samples = Arc::make_mut(&mut trial.samples);
             for (i, r) in followed.samples.iter().zip(&followed.residual) {
                 let sample = &mut samples[*i];
-                sample.value += r * self.problem.channels[sample.channel].sigma;
+                sample.value += r * self.problem.channels[sample.channel].sigma_of(sample);
             }
         }
     }

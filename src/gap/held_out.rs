@@ -138,13 +138,13 @@ impl Search<'_> {
         let channels = held.problem.channels.iter();
         let own: Vec<Option<usize>> = channels.map(|c| own(&c.name)).collect();
         let samples = held.problem.samples();
-        let places: Vec<usize> = samples.filter_map(|s| own[s.channel]).collect();
+        let read: Vec<usize> = samples.filter_map(|s| own[s.channel]).collect();
         let recording: Vec<usize> = held.origin.iter().map(|o| o.0).collect();
         let (_, windows, x) = of;
         Ok(Some(Held {
             cost: fit.cost + windows.problem.parameters.prior_cost(x),
-            noise_alone: 0.5 * places.len() as f64,
-            noise: self.noise_cost(places.into_iter()),
+            noise_alone: 0.5 * read.len() as f64,
+            noise: self.noise_cost(read.into_iter()),
             each: fit.each,
             block_of: stretches(&recording, BLOCKS),
         }))

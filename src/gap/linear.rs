@@ -175,9 +175,10 @@ impl Windows {
         let along = basis.tr_mul(&parameters);
         parameters -= &basis * &along;
         residual -= &basis * basis.tr_mul(&residual);
-        let scale = channel.iter().zip(&weight).map(|(c, weight)| {
-            let c = &self.problem.channels[*c];
-            weight * c.gain.value(free) / c.sigma
+        let scale = here.samples.iter().zip(&weight).map(|(s, weight)| {
+            let s = &samples[*s];
+            let c = &self.problem.channels[s.channel];
+            weight * c.gain.value(free) / c.sigma_of(s)
         });
         Row {
             factor: scale.collect(),

@@ -121,7 +121,7 @@ impl<'a> Lying<'a> {
             let mean =
                 |part: &[&Sample]| part.iter().map(|s| s.value).sum::<f64>() / part.len() as f64;
             let (all, halves) = (mean(&own), own.split_at(own.len() / 2));
-            let away = |s: &&Sample| (s.value - all).abs() > AWAY * channel.sigma * s.spread;
+            let away = |s: &&Sample| (s.value - all).abs() > AWAY * channel.sigma_of(s);
             let drift = (mean(halves.1) - mean(halves.0)).abs();
             if own.iter().any(away) || drift > DRIFT * channel.sigma {
                 return Some(false);

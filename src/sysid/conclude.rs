@@ -107,9 +107,9 @@ impl Solver<'_> {
             .sum();
         let samples = &self.problem.trials[trial].samples;
         let placed = self.placed(trial, &self.x);
-        let sensors = (placed.iter().map(|p| samples[p.sample]))
+        let sensors = (placed.iter().map(|p| &samples[p.sample]))
             .filter(|s| island.channels.contains(&s.channel))
-            .map(|s| (self.problem.channels[s.channel].sigma * s.spread).ln());
+            .map(|s| self.problem.channels[s.channel].sigma_of(s).ln());
         forces - sensors.sum::<f64>()
     }
 }

@@ -103,6 +103,11 @@ impl Channel {
     pub(crate) fn reading(&self, free_values: &[f64], z: f64) -> f64 {
         self.gain.value(free_values) * z + self.bias.value(free_values)
     }
+
+    /// Standard deviation of a sample of its own, see [`Sample::spread`].
+    pub(crate) fn sigma_of(&self, sample: &Sample) -> f64 {
+        self.sigma * sample.spread
+    }
 }
 
 /// An instrument's number: a constant, or an estimated parameter.

@@ -115,7 +115,7 @@ impl Solver<'_> {
                     slope = (blocks.row(k + 1, source)[width - 1] - here[width - 1]) / h;
                 }
                 let z = row[width - 1];
-                let sigma = channel.sigma * s.spread;
+                let sigma = channel.sigma_of(s);
                 let r = (gain * z + bias - s.value) / sigma;
                 let factor = channel.norm.weight(r).sqrt() / sigma;
                 for v in row.iter_mut() {

@@ -45,7 +45,7 @@ impl Solver<'_> {
                 let predicted = channel.reading(&free, z);
                 sum += channel
                     .norm
-                    .cost((predicted - s.value) / (channel.sigma * s.spread));
+                    .cost((predicted - s.value) / channel.sigma_of(s));
             }
         }
         sum

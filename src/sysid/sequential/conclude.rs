@@ -84,7 +84,7 @@ fn innovations(
         course.readings(&swarm.all[0].z, &simulated, steps, &mut |trial, p, _| {
             let s = &problem.trials[trial].samples[p.sample];
             places.push((trial, p.knot));
-            sigma.push(problem.channels[s.channel].sigma * s.spread);
+            sigma.push(problem.channels[s.channel].sigma_of(s));
         });
     }
     let n_samples = places.len();

@@ -121,7 +121,7 @@ impl<'a> Course<'a> {
     pub(super) fn cost(&self, trial: usize, placed: &Placed, reading: f64) -> f64 {
         let s = &self.problem.trials[trial].samples[placed.sample];
         let channel = &self.problem.channels[s.channel];
-        (channel.norm).cost((reading - s.value) / (channel.sigma * s.spread))
+        (channel.norm).cost((reading - s.value) / channel.sigma_of(s))
     }
 
     /// −log p of the samples before each step up to `steps` (one more than that many numbers), less a constant; `None`

@@ -74,7 +74,7 @@ impl Point<'_> {
             let predicted = channel.reading(&free, z);
             sum += channel
                 .norm
-                .cost((predicted - s.value) / (channel.sigma * s.spread));
+                .cost((predicted - s.value) / channel.sigma_of(s));
         }
         if let (Some(sigma), true) = (jump_sigma, window.followed && window.whole) {
             let sigma = self.jump_sigma(window, sigma);
@@ -108,9 +108,10 @@ impl Point<'_> {
             let s = &samples[p.sample];
             let channel = &self.problem.channels[s.channel];
             let (gain, bias) = (channel.gain.value(&free), channel.bias.value(&free));
-            let sigma = channel.sigma * s.spread;
+            let sigma = channel.sigma_of(s);
             let r = (gain * z + bias - s.value) / sigma;
-            let factor = channel.norm.weight(r).sqrt() / sigma;
+            let weight = channel.norm.weight(r).sqrt();
+            let factor = weight / sigma;
             let row = rows.add(window.first + p.knot);
             let (own, rest) = row.split_at_mut(n_state);
             let unknowns = own.iter_mut().chain(&mut rest[n_state..n_state + np]);
@@ -128,7 +129,7 @@ impl Point<'_> {
                     row[2 * n_state + j] += factor * derivative * if log { free[j] } else { 1.0 };
                 }
             }
-            row[width - 1] = sigma * factor * r;
+            row[width - 1] = weight * r;
         }
         if let (Some(sigma), true) = (jump_sigma, window.followed && window.whole) {
             let sigma = self.jump_sigma(window, sigma);
