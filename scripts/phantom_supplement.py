@@ -22,6 +22,8 @@ import numpy as np
 
 PREFIX = "phantom:"
 MAX_DELAY_S = 0.05
+# what flanks of a play give back of a motor's speed, flights in a step, and what part of a step is none
+REBOUND, FLIGHTS, BRIEF = 0.45, 16, 0.01
 # kinds in the order in which they act, with what the element is and how many numbers it has
 KINDS = {
     "actuator_delay": ("actuator", 1), "actuator_lag": ("actuator", 1), "torque_ripple": ("actuator", 3),
@@ -274,9 +276,9 @@ class Supplement:
         q, v = (data.qpos[term.qpos], data.qvel[dof]) if term.joint is not None else (0.0, 0.0)
         if kind in ("backlash", "transmission_compliance"):
             inertia, next_ = self.model.dof_armature[dof], self.next[term.memory]
-            before, after = self._motor(term, data, number, inertia)
+            before, after, begun = self._motor(term, data, number, inertia)
             passive[dof] -= inertia * (after[1] - before[1]) / self.timestep
-            next_[:] = 1, after[0], after[1], v
+            next_[:] = begun, after[0], after[1], v
         elif kind == "asymmetric_friction":
             level = self.model.dof_frictionloss[dof]
             forwards, backwards = max(level + number[0], 0), max(level - number[0], 0)
@@ -310,21 +312,22 @@ class Supplement:
                 torque[first] -= moment * normal
 
     def _motor(self, term, data, number, inertia):
-        """Where a motor stands from its joint and how fast it moves from it, before and after the step."""
+        """Where a motor stands from its joint and how fast it moves from it, before and after the step; 2 if it met a flank, else 1."""
         memory, h = self.memory[term.memory], self.timestep
         moment = np.reshape(data.actuator_moment, (self.model.nu, -1))[term.actuator][term.dof]
         force = data.actuator_force[term.actuator] * moment
         begun = memory[0] != 0
-        drive = force - inertia * ((data.qvel[term.dof] - memory[3]) / h if begun else 0.0)
+        drive = force - inertia * ((data.qvel[term.dof] - memory[3]) / h if memory[0] == 1 else 0.0)
         if term.kind == "transmission_compliance":
             before = (memory[1], memory[2]) if begun else (number[0] * force, 0.0)
-            return before, stretched(before, number[0], number[1], inertia, drive, h)
+            return before, stretched(before, number[0], number[1], inertia, drive, h), 1
         half = 0.5 * number[0]
         end = math.copysign(half, force) if force else 0.0
         before = (memory[1], memory[2]) if begun else (end, 0.0)
         if inertia > 0:
-            return before, between_stops(before, half, drive / inertia, h)
-        return before, (end if force else before[0], 0.0)
+            after, met = between_stops(before, half, drive / inertia, h)
+            return before, after, 2 if met else 1
+        return before, (end if force else before[0], 0.0), 1
 
     def _encoder(self, data, joint, terms):
         shown = [data.qpos[self.model.jnt_qposadr[joint]], data.qvel[self.model.jnt_dofadr[joint]]]
@@ -369,18 +372,23 @@ def stretched(motor, compliance, damping, inertia, torque, time):
 
 
 def between_stops(motor, half, acceleration, time):
-    """A motor between stops at +-half, accelerated evenly for a time."""
+    """A motor between stops at +-half, accelerated evenly for a time, and whether it met one."""
     if half == 0:
-        return 0.0, 0.0
-    s, v = motor
-    for _ in range(2):
+        return (0.0, 0.0), False
+    (s, v), met = motor, False
+    brief = BRIEF * time
+    for _ in range(FLIGHTS):
         if v == 0 and abs(s) >= half and s * acceleration >= 0:
-            return math.copysign(half, s), 0.0
+            return (math.copysign(half, s), 0.0), met
         meeting = first_meeting(s, v, acceleration, half)
         if meeting is None or meeting[0] >= time:
-            return (min(max(s + (v + 0.5 * acceleration * time) * time, -half), half), v + acceleration * time)
-        time, s, v = time - meeting[0], meeting[1] * half, 0.0
-    return s, v
+            return (min(max(s + (v + 0.5 * acceleration * time) * time, -half), half), v + acceleration * time), met
+        t, side = meeting
+        push, v = side * acceleration, -REBOUND * (v + acceleration * t)
+        if push > 0 and 2 * abs(v) / push < brief:
+            v = 0.0
+        time, s, met = time - t, side * half, True
+    return (s, v), met
 
 
 def first_meeting(s, v, a, half):
@@ -389,10 +397,14 @@ def first_meeting(s, v, a, half):
     for side in (1.0, -1.0):
         gap, u, b = half - side * s, side * v, side * a
         root = u * u + 2 * b * gap
-        if root < 0 or u + math.sqrt(root) <= 0:
+        if root < 0:
             continue
-        t = 2 * gap / (u + math.sqrt(root))
-        leaves = gap <= 0 and (u < 0 or (u == 0 and b < 0))
-        if not leaves and t >= 0 and (first is None or t < first[0]):
+        if u >= 0:
+            t = 2 * gap / (u + math.sqrt(root)) if u + root > 0 else math.nan
+        elif b > 0:
+            t = (math.sqrt(root) - u) / b
+        else:
+            continue
+        if t >= 0 and (first is None or t < first[0]):
             first = (t, side)
     return first

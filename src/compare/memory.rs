@@ -10,6 +10,7 @@ use std::sync::Arc;
 use super::CompareError;
 use super::butterworth::{Beyond, low_pass};
 use super::differences::accelerations;
+use super::swings::Swings;
 use crate::mujoco::{Data, Model, MujocoError};
 
 /// What loads springs and play between motors and joints, at each sample.
@@ -97,13 +98,15 @@ impl Memory {
     }
 
     /// What is remembered at each sample (n × memory), of states `qpos` (n × nq) and `qvel` (n × nv). Between samples
-    /// states stay as they are. Drives are loaded by those of `loaded`, beside which are accelerations (n × nv) of the states.
+    /// states stay as they are. Drives are loaded by those of `loaded`, beside which are accelerations (n × nv) of the states;
+    /// motors are where `swings` show them.
     pub(super) fn follow(
         &mut self,
         time_s: &[f64],
         (qpos, qvel): (&[f64], &[f64]),
         controls: Controls<'_>,
         loaded: Option<(&Drives, &[f64])>,
+        swings: &Swings,
     ) -> Result<Vec<f64>, MujocoError> {
         let mut rows = Vec::new();
         if !self.active {
@@ -120,6 +123,7 @@ impl Memory {
         for (k, time) in time_s.iter().enumerate() {
             let dofs = k * nv..(k + 1) * nv;
             data.qpos_mut().copy_from_slice(&qpos[k * nq..(k + 1) * nq]);
+            data.show(swings.at(k));
             if let Some((drives, qacc)) = loaded {
                 // a law of drives remembers how fast the joint was one step ago
                 let now = qvel[dofs.clone()].iter().zip(&qacc[dofs.clone()]);
@@ -135,6 +139,7 @@ impl Memory {
                 controls(time_s[0] + steps as f64 * h, data.ctrl_mut());
                 data.forward()?;
                 data.advance_memory();
+                data.show([]);
                 steps += 1;
             }
         }

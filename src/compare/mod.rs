@@ -29,6 +29,7 @@ mod seeded;
 pub mod settings;
 pub mod start;
 mod states;
+mod swings;
 
 pub use error::CompareError;
 pub use seeded::{Seeded, seeded};

@@ -14,6 +14,7 @@ use super::differences::{accelerations, align, differences, free_quaternions, no
 use super::memory::Memory;
 use super::samples::{Samples, median_interval};
 use super::settings::Derivative;
+use super::swings::Swings;
 use super::{CompareError, Settings};
 
 const MIN_SAMPLES: usize = 3;
@@ -180,6 +181,8 @@ impl States {
         let mut qpos = fill(model.qpos0(), &time_s, &measured_qpos, &positions);
         let quaternions = free_quaternions(model);
         align(&mut qpos, model.nq(), &quaternions);
+        let filtered = settings.cutoff_hz.is_some();
+        let swings = Swings::of(model, (&time_s, &qpos), &measured_qpos, filtered);
         if let Some(cutoff) = settings.cutoff_hz {
             low_pass(&mut qpos, model.nq(), cutoff * interval, Beyond::Reflected);
         }
@@ -189,7 +192,7 @@ impl States {
             memory.drives((&time_s, interval), &shown, cutoff * interval, &held)
         });
         let loaded = drives.as_ref().map(|own| (own, &own.qacc[..]));
-        let rows = memory.follow(&time_s, (&qpos, &shown), &held, loaded)?;
+        let rows = memory.follow(&time_s, (&qpos, &shown), &held, loaded, &swings)?;
         memory.decode(&rows, &mut qpos, &measured_qpos)?;
         for (row, time) in qpos.chunks_exact_mut(model.nq()).zip(&time_s) {
             if unknown.is_empty() {
@@ -246,7 +249,7 @@ impl States {
         let qacc = accelerations(model.nv(), &time_s, &qvel, step_derivative);
 
         let loaded = drives.as_ref().map(|own| (own, &qacc[..]));
-        let remembered = memory.follow(&time_s, (&qpos, &qvel), &held, loaded)?;
+        let remembered = memory.follow(&time_s, (&qpos, &qvel), &held, loaded, &swings)?;
         let sensors = sources
             .sensors
             .iter()

@@ -1,6 +1,6 @@
 //! One simulation: mjData and the model it was made for.
 
-use super::extension::Extended;
+use super::extension::{Extended, Swing};
 use super::guard::{guarded, guarded_once, initialise, null_error};
 use super::{Model, MujocoError, ObjectKind, Result, ffi};
 use std::ptr::NonNull;
@@ -45,6 +45,8 @@ pub struct Data {
     pub(super) extended: Option<Box<Extended>>,
     /// (nu) see [`Data::hold`]; empty: 0
     pub(super) late: Vec<f64>,
+    /// see [`Data::show`]
+    pub(super) shown: Vec<(usize, Swing)>,
 }
 
 // SAFETY: mjData holds no thread-bound resource, and this type owns it. It is not `Sync` because
@@ -65,6 +67,7 @@ impl Data {
             raw,
             extended: Extended::of(&model),
             late: Vec::new(),
+            shown: Vec::new(),
             model,
             poison: None,
         })

@@ -38,6 +38,15 @@ pub struct Forces {
     pub torque: Vec<f64>,
 }
 
+/// Where a motor is in its play, as quick readings of its encoder show it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Swing {
+    /// rad or m from the middle between the ends; none where what is quick was taken from the motion
+    pub offset: Option<f64>,
+    /// rad or m from end to end
+    pub range: f64,
+}
+
 /// Physics beyond the engine's. `memory` is what it remembered at the beginning of the step, `next` what it will at its
 /// end, a copy of `memory` on entry. All zero memory means that nothing has happened yet.
 pub trait Extension: std::fmt::Debug + Send + Sync {
@@ -91,6 +100,11 @@ pub trait Extension: std::fmt::Debug + Send + Sync {
         _since_s: Option<f64>,
         _next: &mut [f64],
     ) {
+    }
+
+    /// Whether the motor of a hinge or slide is put where its readings show it, see [`Data::show`].
+    fn follows(&self, _joint: usize) -> bool {
+        false
     }
 
     /// Whether trees that nothing of the engine ties together, contacts included, feel nothing of each other by it either.
@@ -233,6 +247,19 @@ impl Data {
         self.late.get(actuator).copied().unwrap_or(0.0)
     }
 
+    /// Tells extensions where recorded readings show motors (joint, swing) at the beginning of the step to come; of others
+    /// nothing is known but what went before.
+    pub fn show(&mut self, swings: impl IntoIterator<Item = (usize, Swing)>) {
+        self.shown.clear();
+        self.shown.extend(swings);
+    }
+
+    /// Where readings show the motor of a joint.
+    pub fn shown(&self, joint: usize) -> Option<Swing> {
+        let own = self.shown.iter().find(|(j, _)| *j == joint);
+        own.map(|(_, swing)| *swing)
+    }
+
     /// Position and velocity of a hinge or slide as its encoder shows them; without an extension the true ones.
     ///
     /// # Panics
@@ -293,6 +320,7 @@ impl Data {
 
     pub(super) fn forget(&mut self) {
         self.late.clear();
+        self.shown.clear();
         if let Some(x) = &mut self.extended {
             x.clear();
         }

@@ -37,7 +37,7 @@ mod touch;
 pub use data::Data;
 pub use edit::ModelEdit;
 pub use error::{MujocoError, Result};
-pub use extension::{Extension, Forces, Stage};
+pub use extension::{Extension, Forces, Stage, Swing};
 pub use guard::library_version;
 pub use kinds::{Cone, Integrator, Jacobian, ObjectKind, Solver, SolverOptions};
 pub use measures::Measures;

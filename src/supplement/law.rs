@@ -61,6 +61,11 @@ pub(super) trait Law: std::fmt::Debug + Send + Sync {
         false
     }
 
+    /// Whether its motor is put where the readings of a joint show it.
+    fn follows(&self, _joint: usize) -> bool {
+        false
+    }
+
     /// Changes position and velocity as an encoder shows them.
     fn encode(&self, _at: &At<'_>, _joint: usize, _reading: &mut [f64; 2]) {}
 

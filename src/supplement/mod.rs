@@ -30,6 +30,7 @@ mod joint;
 mod law;
 mod parse;
 mod sensor;
+mod swing;
 mod transmission;
 
 use std::ops::Range;
@@ -41,6 +42,7 @@ use thiserror::Error;
 use crate::mujoco::{Data, Extension, Forces, Model, MujocoError, Stage};
 use law::{At, Law};
 pub use parse::{Element, KINDS, Kind, Number, PREFIX, name_of};
+pub(crate) use swing::swing;
 
 /// Longest delay of a command or reading, s.
 pub const MAX_DELAY_S: f64 = 0.05;
@@ -194,6 +196,10 @@ impl Extension for Supplement {
             let next = &mut next[part];
             term.law.load(&at, acceleration, since_s, next);
         }
+    }
+
+    fn follows(&self, joint: usize) -> bool {
+        self.terms.iter().any(|term| term.law.follows(joint))
     }
 
     /// Every law acts on one joint, by one actuator, in contacts or on readings.

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! J (q'' + s'') = τ − t        joint: t        so the joint gets τ − J q'' − J s''
-//! stretch    t = s/c + damping           play    t = 0 while |s| < p/2, no rebound at its ends
+//! stretch    t = s/c + damping           play    t = 0 while |s| < p/2, s' = −0.45 s' at its ends
 //! ```
 //!
 //! The engine has τ and J q''; the law adds −J s'', as its mean over the step. s is integrated exactly over a step in which
@@ -14,13 +14,43 @@
 //! The engine's own way, a second joint for the motor, would change the states of the model, and with them recordings,
 //! policies and keyframes.
 //!
-//! Memory: whether it has begun, s, s', and the joint's velocity one step ago. Where the motion of the motor θ = q + s was
+//! A flank that gives way a little, with a relative damping of 0.3, and only pushes gives back exp(−(ζ/√(1−ζ²)) (π − φ)) of the speed,
+//! tan φ = 2 ζ √(1−ζ²)/(1−2ζ²): 0.45. A motor under feedback rattles from flank to flank, and every flight begins with that speed.
+//!
+//! Where readings are at hand, of a recording, that rattling is in them: their quick part, without the joint's motion, swings by
+//! the play. An error of a few percent in one flight is all of the next but two, so the motor is put where they show it,
+//! at every step, and the law says where it is one step later:
+//!
+//! ```text
+//! s ← ŝ = clamp(quick part),   s' ← s' + (ŝ − s)/h        while they swing by p/2 or more
+//! ```
+//!
+//! as an observer does; what the joint gets is the motor's momentum all the same. That is what is compared with the next reading.
+//! Where a recorded motion is filtered, so that no rattling is left, the motor stays in the middle and passes on what it gets, as it does
+//! in the mean.
+//!
+//! Memory: whether it has begun, or has just met a flank, s, s', and the joint's velocity one step ago, which says how it accelerates; not
+//! where a flank had it jump. Where the motion of the motor θ = q + s was
 //! measured it says how the transmission was loaded then, t = τ − J θ''.
 
 use super::command::limited;
 use super::law::{At, Built, Law};
 use super::parse;
-use crate::mujoco::{Data, Forces, Model, N_PRM};
+use crate::mujoco::{Data, Forces, Model, N_PRM, Swing};
+
+/// Part of the speed that a flank gives back.
+const REBOUND: f64 = 0.45;
+/// Flights in a step.
+const FLIGHTS: usize = 16;
+/// Part of a step in which a motor that leaves a flank and is pushed back to it does not leave it at all.
+const BRIEF: f64 = 0.01;
+/// What the first number of memory is once the law has begun, where a flank was met in the last step, and where all that is known of a
+/// motor is its mean.
+const BEGUN: f64 = 1.0;
+const MET: f64 = 2.0;
+const RATTLES: f64 = -1.0;
+/// Part of a play by which readings swing that show where a motor is.
+const SHOWS: f64 = 0.5;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Joining {
@@ -97,35 +127,43 @@ impl Motor {
         }
     }
 
-    /// Between stops at ±`half`, accelerated for `time`.
-    fn free(mut self, half: f64, acceleration: f64, mut time: f64) -> Self {
+    /// Between stops at ±`half`, accelerated for `time`; and whether it met one.
+    fn free(mut self, half: f64, acceleration: f64, mut time: f64) -> (Self, bool) {
         if half == 0.0 {
-            return Self { s: 0.0, speed: 0.0 };
+            return (Self { s: 0.0, speed: 0.0 }, false);
         }
-        // leaving a stop, crossing, meeting the other: two flights at most
-        for _ in 0..2 {
+        let (brief, mut met) = (BRIEF * time, false);
+        for _ in 0..FLIGHTS {
             let (s, v, a) = (self.s, self.speed, acceleration);
             if v == 0.0 && s.abs() >= half && s * a >= 0.0 {
-                return Self {
-                    s: half.copysign(s),
-                    speed: 0.0,
-                };
+                let s = half.copysign(s);
+                return (Self { s, speed: 0.0 }, met);
             }
             let meeting = first_meeting(s, v, a, half).filter(|(t, _)| *t < time);
             let Some((t, side)) = meeting else {
                 let s = (s + (v + 0.5 * a * time) * time).clamp(-half, half);
-                return Self {
-                    s,
-                    speed: v + a * time,
-                };
+                let speed = v + a * time;
+                return (Self { s, speed }, met);
             };
+            let speed = -REBOUND * (v + a * t);
+            let flight = 2.0 * speed.abs() / (side * a).max(0.0);
             self = Self {
                 s: side * half,
-                speed: 0.0,
+                speed: if flight < brief { 0.0 } else { speed },
             };
             time -= t;
+            met = true;
         }
-        self
+        (self, met)
+    }
+
+    /// Put to where readings show it, between stops at ±`half`, after it was foretold for a step of `time`.
+    fn put(self, offset: f64, half: f64, time: f64) -> Self {
+        let s = offset.clamp(-half, half);
+        Self {
+            s,
+            speed: self.speed + (s - self.s) / time,
+        }
     }
 }
 
@@ -139,15 +177,16 @@ fn first_meeting(s: f64, v: f64, a: f64, half: f64) -> Option<(f64, f64)> {
         if root < 0.0 {
             continue;
         }
-        // the earlier of both times, in the form that does not cancel
-        let t = if u + root.sqrt() > 0.0 {
+        // the form that does not cancel; what moves away comes back if it is pushed
+        let t = if u >= 0.0 {
             2.0 * gap / (u + root.sqrt())
+        } else if b > 0.0 {
+            (root.sqrt() - u) / b
         } else {
             continue;
         };
-        // one that has just left does not meet the end it left
-        let leaves = gap <= 0.0 && (u < 0.0 || (u == 0.0 && b < 0.0));
-        if !leaves && t >= 0.0 && first.is_none_or(|(earlier, _)| t < earlier) {
+        // at rest on a flank: 0/0
+        if t >= 0.0 && first.is_none_or(|(earlier, _)| t < earlier) {
             first = Some((t, side));
         }
     }
@@ -172,13 +211,22 @@ impl Transmission {
         force * moment
     }
 
-    /// The motor at the beginning and at the end of the step.
-    fn step(&self, at: &At<'_>) -> [Motor; 2] {
+    /// Where readings show the motor, if they do.
+    fn shown(&self, data: &Data, play: f64) -> Option<Swing> {
+        data.shown(self.joint).filter(|s| s.range >= SHOWS * play)
+    }
+
+    /// The motor at the beginning and at the end of the step, and what the first number of memory is then.
+    fn step(&self, at: &At<'_>) -> ([Motor; 2], f64) {
         let (model, data) = (at.data.model(), at.data);
         let torque = self.torque(data);
         let inertia = model.dof_armature()[self.dof];
+        if at.memory[0] == RATTLES {
+            return ([motor(at.memory); 2], RATTLES);
+        }
         let begun = at.memory[0] != 0.0;
-        let acceleration = if begun {
+        // a flank that was met had the joint jump
+        let acceleration = if at.memory[0] == BEGUN {
             (data.qvel()[self.dof] - at.memory[3]) / at.timestep
         } else {
             0.0
@@ -192,10 +240,8 @@ impl Transmission {
                     speed: 0.0,
                 };
                 let before = if begun { motor(at.memory) } else { rest };
-                [
-                    before,
-                    before.stretched(n[0], n[1], inertia, drive, at.timestep),
-                ]
+                let after = before.stretched(n[0], n[1], inertia, drive, at.timestep);
+                ([before, after], BEGUN)
             }
             Joining::Play => {
                 let half = 0.5 * n[0];
@@ -209,15 +255,15 @@ impl Transmission {
                 } else {
                     Motor { s: end, speed: 0.0 }
                 };
-                let after = if inertia > 0.0 {
-                    before.free(half, drive / inertia, at.timestep)
+                let shown = self.shown(data, n[0]).and_then(|swing| swing.offset);
+                let from = shown.map_or(before, |offset| before.put(offset, half, at.timestep));
+                let (after, met) = if inertia > 0.0 {
+                    from.free(half, drive / inertia, at.timestep)
                 } else {
-                    Motor {
-                        s: if torque == 0.0 { before.s } else { end },
-                        speed: 0.0,
-                    }
+                    let s = if torque == 0.0 { before.s } else { end };
+                    (Motor { s, speed: 0.0 }, false)
                 };
-                [before, after]
+                ([before, after], if met { MET } else { BEGUN })
             }
         }
     }
@@ -236,10 +282,10 @@ impl Law for Transmission {
     }
 
     fn force(&self, at: &At<'_>, forces: &mut Forces, next: &mut [f64]) {
-        let [before, after] = self.step(at);
+        let ([before, after], begun) = self.step(at);
         let inertia = at.data.model().dof_armature()[self.dof];
         forces.passive[self.dof] -= inertia * (after.speed - before.speed) / at.timestep;
-        next.copy_from_slice(&[1.0, after.s, after.speed, at.data.qvel()[self.dof]]);
+        next.copy_from_slice(&[begun, after.s, after.speed, at.data.qvel()[self.dof]]);
     }
 
     fn load(
@@ -256,7 +302,7 @@ impl Law for Transmission {
             Joining::Stretch => numbers[0] * through,
             Joining::Play => 0.5 * numbers[0] * through.signum(),
         };
-        let mut speed = 0.0;
+        let (mut begun, mut speed) = (BEGUN, 0.0);
         if let Some(since_s) = since_s {
             (s, speed) = (0.5 * (s + before), (s - before) / since_s);
             if self.joining == Joining::Stretch {
@@ -264,7 +310,20 @@ impl Law for Transmission {
                 s -= 2.0 * numbers[1] * (inertia * numbers[0]).sqrt() * speed;
             }
         }
-        next.copy_from_slice(&[1.0, s, speed, at.data.qvel()[self.dof]]);
+        if self.joining == Joining::Play
+            && let Some(swing) = self.shown(at.data, numbers[0])
+        {
+            let half = 0.5 * numbers[0];
+            (s, speed) = (swing.offset.unwrap_or(0.0).clamp(-half, half), 0.0);
+            if swing.offset.is_none() {
+                begun = RATTLES;
+            }
+        }
+        next.copy_from_slice(&[begun, s, speed, at.data.qvel()[self.dof]]);
+    }
+
+    fn follows(&self, joint: usize) -> bool {
+        self.joining == Joining::Play && joint == self.joint
     }
 
     fn reads(&self, joint: usize) -> bool {
@@ -288,7 +347,7 @@ impl Law for Transmission {
 
 #[cfg(test)]
 mod tests {
-    use super::Motor;
+    use super::{Motor, REBOUND};
 
     /// The closed forms against small steps of the equations themselves.
     #[test]
@@ -321,11 +380,11 @@ mod tests {
                 if fine.s.abs() > half {
                     fine = Motor {
                         s: half.copysign(fine.s),
-                        speed: 0.0,
+                        speed: -REBOUND * fine.speed,
                     };
                 }
             }
-            let exact = start.free(half, torque / inertia, time);
+            let (exact, _) = start.free(half, torque / inertia, time);
             assert!(
                 (exact.s - fine.s).abs() < 1e-5 && (exact.speed - fine.speed).abs() < 2e-3,
                 "{exact:?} {fine:?}"
@@ -339,15 +398,19 @@ mod tests {
             s: 0.01,
             speed: 0.0,
         };
-        assert_eq!(on.free(0.01, 5.0, 1.0), on);
-        let off = on.free(0.01, -5.0, 0.02);
+        assert_eq!(on.free(0.01, 5.0, 1.0), (on, false));
+        let (off, met) = on.free(0.01, -5.0, 0.02);
+        assert!(!met);
         assert!((off.s - (0.01 - 0.001)).abs() < 1e-15 && (off.speed + 0.1).abs() < 1e-15);
         assert_eq!(
             on.free(0.01, -5.0, 1.0),
-            Motor {
-                s: -0.01,
-                speed: 0.0
-            }
+            (
+                Motor {
+                    s: -0.01,
+                    speed: 0.0
+                },
+                true
+            )
         );
     }
 }

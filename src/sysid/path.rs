@@ -15,7 +15,8 @@ use std::sync::Arc;
 
 use super::problem::Problem;
 use super::{SysidError, start};
-use crate::mujoco::Extension;
+use crate::mujoco::{Extension, Swing};
+use crate::supplement::swing;
 
 /// Smoothed readings of a recording, as positions.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,6 +59,11 @@ impl Path {
         let at = |time_s: f64| self.at(address, time_s);
         let bend = at(time_s + half_s) - 2.0 * at(time_s) + at(time_s - half_s);
         bend / (half_s * half_s)
+    }
+
+    /// What is quick there.
+    pub(crate) fn swing(&self, address: usize, time_s: f64) -> Swing {
+        swing(|off_s| self.at(address, time_s + off_s))
     }
 
     /// The number at address `address` of qpos at `time_s` after the trial's first knot; beyond the ends as there.

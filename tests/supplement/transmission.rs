@@ -1,6 +1,7 @@
 //! Play and stretch between motor and joint.
 
 use phantom::compare::{Settings, States};
+use phantom::mujoco::Swing;
 use phantom::recording::{Kind, Meta, Recording, Stream};
 use phantom::rng::{self, Purpose};
 
@@ -68,12 +69,13 @@ fn a_spring_between_motor_and_joint() {
 fn play_between_motor_and_joint() {
     let play = 0.02;
     let simulated = run(&mut rotor(&numeric("backlash", "m", "0.02"), ""), N);
-    // stiff flanks without rebound, at the motor's own time scale
-    let wall = 2e5;
+    // stiff flanks with a relative damping of 0.3, at the motor's own time scale
+    let wall: f64 = 2e5;
+    let damping = 0.6 * (wall * ARMATURE * LINK / INERTIA).sqrt();
     let flank = |s: f64, w: f64| {
         let depth = s.abs() - 0.5 * play;
         if depth > 0.0 {
-            s.signum() * (wall * depth + 60.0 * s.signum() * w).max(0.0)
+            s.signum() * (wall * depth + damping * s.signum() * w).max(0.0)
         } else {
             0.0
         }
@@ -188,6 +190,82 @@ fn a_transmission_is_loaded_as_its_motor_moved() {
             middles.len()
         );
     }
+}
+
+/// Commands of a loop that has a motor rattle, and what was shown and where the joint was under them.
+fn rattling(custom: &str) -> (Vec<f64>, Vec<[f64; 2]>) {
+    let mut machine = rotor(custom, "");
+    let each = (0..N).map(|k| {
+        let (shown, own) = (machine.encoder(0), machine.joint_state(0));
+        // a loop that is late
+        let before = shown[0] - own[0] - STEP * (shown[1] - own[1]);
+        let ctrl = 0.1 * torque(k) - 0.5_f64.copysign(before);
+        machine.ctrl_mut()[0] = ctrl;
+        machine.step().expect("a step");
+        (ctrl, [shown[0], own[0]])
+    });
+    each.unzip()
+}
+
+/// The commands of a loop do not have its motor rattle as it did, but where readings show it; the joint moves as it did.
+#[test]
+fn a_motor_that_rattles_is_where_readings_show_it() {
+    const PLAY: f64 = 0.01;
+    let (commands, truth) = rattling(&numeric("backlash", "m", "0.01"));
+    let s = |k: usize| truth[k][0] - truth[k][1];
+    let far = (300..N).filter(|&k| s(k).abs() > 0.2 * PLAY).count();
+    assert!(far > N / 3, "{far}");
+    // a play that is known to a twentieth
+    let custom = numeric("backlash", "m", "0.0105");
+    let off = |follows: bool| {
+        let mut machine = rotor(&custom, "");
+        let (mut squares, mut joint) = (0.0, 0.0_f64);
+        for k in 0..N {
+            let (shown, own) = (machine.encoder(0)[0], machine.joint_state(0)[0]);
+            squares += (shown - own - s(k)).powi(2);
+            joint = joint.max((own - truth[k][1]).abs());
+            machine.show(follows.then_some((
+                0,
+                Swing {
+                    offset: Some(s(k)),
+                    range: PLAY,
+                },
+            )));
+            machine.ctrl_mut()[0] = commands[k];
+            machine.step().expect("a step");
+        }
+        ((squares / N as f64).sqrt(), joint)
+    };
+    let (followed, lost) = (off(true), off(false));
+    assert!(followed.0 < 0.1 * PLAY, "{followed:?}");
+    assert!(lost.0 > 3.0 * followed.0, "{followed:?} {lost:?}");
+}
+
+/// Of a motion that was filtered nothing is left of the rattling: the motor is in the middle, and the joint gets what it gets.
+#[test]
+fn a_motor_that_rattles_passes_on_what_it_gets_in_the_mean() {
+    let speed = |custom: &str| {
+        let mut machine = rotor(custom, "");
+        machine.ctrl_mut()[0] = 0.3;
+        machine.show([(
+            0,
+            Swing {
+                offset: None,
+                range: 0.01,
+            },
+        )]);
+        machine.load_memory(&|_| 0.0, None).expect("a load");
+        for _ in 0..50 {
+            machine.step().expect("a step");
+        }
+        assert_eq!(machine.encoder(0), machine.joint_state(0));
+        machine.qvel()[0]
+    };
+    let (played, plain) = (speed(&numeric("backlash", "m", "0.01")), speed(""));
+    assert!(
+        plain > 0.0 && (played - plain).abs() < 1e-12,
+        "{played} {plain}"
+    );
 }
 
 /// Identification gives the engine means around a knot; a motor on its spring feels what holds after it.

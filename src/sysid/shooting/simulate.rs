@@ -3,11 +3,11 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::window::{Placed, State, Window};
-use crate::mujoco::{self, Contact, Data, Model};
+use crate::mujoco::{self, Contact, Data, Model, Swing};
 use crate::supplement::MEMORY_S;
 use crate::sysid::SysidError;
 use crate::sysid::path::Path;
-use crate::sysid::problem::Problem;
+use crate::sysid::problem::{Problem, Trial};
 use crate::sysid::reach::Contacts;
 
 /// What the model makes of a window.
@@ -135,6 +135,8 @@ impl<'a> Simulator<'a> {
         data.qpos_mut().copy_from_slice(&state.qpos);
         data.qvel_mut().copy_from_slice(&state.qvel);
         let trial = &problem.trials[window.trial];
+        let swings = swings(problem, trial, data.model());
+        data.show(swings(window.first));
         if !data.memory().is_empty() {
             let first = window.first as isize - past_len(&problem.model) as isize;
             let n = past_len(&problem.model) + beyond(&problem.model);
@@ -159,6 +161,7 @@ impl<'a> Simulator<'a> {
             }
             let from = (k - window.first) * nu;
             data.hold(held.as_ref().map(|held| &held[from..from + nu]));
+            data.show(swings(k));
             push(k - window.first, data);
             self::read(problem, &problem.model, data, row, false);
             // the step leaves the sensors of its beginning
@@ -175,6 +178,28 @@ impl<'a> Simulator<'a> {
             end,
             contacts,
         }))
+    }
+}
+
+/// At a knot of the trial: joints whose motors are put where its recorded path shows them, and where that is.
+fn swings<'a>(
+    problem: &'a Problem,
+    trial: &'a Trial,
+    model: &Model,
+) -> impl Fn(usize) -> Vec<(usize, Swing)> + use<'a> {
+    let extension = problem.model.extension();
+    let late_s = (extension.and_then(|e| e.encoder_delay_s(model))).unwrap_or(0.0);
+    let follows = |j: &usize| extension.is_some_and(|e| e.follows(*j));
+    let joints: Vec<usize> = problem.model.scalar_joints().filter(follows).collect();
+    move |knot| {
+        let Some(path) = &trial.path else {
+            return Vec::new();
+        };
+        let time_s = knot as f64 * problem.model.timestep() + late_s;
+        let address = |j: usize| problem.model.jnt_qposadr()[j] as usize;
+        (joints.iter())
+            .map(|&j| (j, path.swing(address(j), time_s)))
+            .collect()
     }
 }
 
