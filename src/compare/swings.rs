@@ -9,7 +9,6 @@ use crate::mujoco::{Model, Swing};
 use crate::supplement::swing;
 
 /// At each sample (joint, swing).
-#[derive(Default)]
 pub(super) struct Swings(Vec<Vec<(usize, Swing)>>);
 
 impl Swings {

@@ -30,20 +30,21 @@ fn rotor(late_s: f64) -> Arc<Model> {
     Arc::new(supplement::attach(model).expect("a supplement"))
 }
 
-fn record(late_s: f64) -> Recording {
-    let mut data = Data::new(rotor(late_s)).expect("data");
+/// 2000 samples of a rotor's encoder under `torque` at each.
+pub(crate) fn record(model: Arc<Model>, torque: impl Fn(i64, &Data) -> f64) -> Recording {
+    let step = model.timestep();
+    let mut data = Data::new(model).expect("data");
     let mut rng = rng::stream(1, Purpose::SensorNoise, 0, 0);
     let channels = vec![
         channel("q", Kind::Sensor, "rad", Some(SIGMA)),
         channel("m", Kind::Control, "N m", None),
     ];
-    let mut stream = Stream::new("all", Some(1.0 / STEP), channels);
+    let mut stream = Stream::new("all", Some(1.0 / step), channels);
     for k in 0..2000 {
-        let t = f64::from(k) * STEP;
-        let torque = 0.4 * (9.0 * t).sin() + 0.5 * (37.0 * t + 1.0).sin();
+        let torque = torque(k, &data);
         data.ctrl_mut()[0] = torque;
         let reading = data.encoder(0)[0] + SIGMA * rng::normal(&mut rng);
-        stream.push(i64::from(k) * 1_000_000, &[reading, torque]);
+        stream.push((k as f64 * step * 1e9).round() as i64, &[reading, torque]);
         data.step().expect("step");
     }
     Recording {
@@ -69,7 +70,11 @@ fn lateness_is_estimated_from_windows_that_begin_in_motion() {
         "#,
     )
     .expect("a configuration");
-    let recordings = [("late".to_owned(), record(TRUE_S))];
+    let torque = |k: i64, _: &Data| {
+        let t = k as f64 * STEP;
+        0.4 * (9.0 * t).sin() + 0.5 * (37.0 * t + 1.0).sin()
+    };
+    let recordings = [("late".to_owned(), record(rotor(TRUE_S), torque))];
     let problem = Problem::new(rotor(0.01), &config, &recordings).expect("a problem");
     let start = Start {
         x: problem.parameters.start(),

@@ -13,6 +13,7 @@ mod inverse;
 mod late;
 mod mjcf;
 mod nudging;
+mod play;
 mod push;
 mod rollouts;
 mod sequential;
