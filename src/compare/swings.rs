@@ -20,8 +20,7 @@ impl Swings {
         filtered: bool,
     ) -> Self {
         let mut rows = vec![Vec::new(); time_s.len()];
-        let follows = |j: &usize| model.extension().is_some_and(|e| e.follows(*j));
-        for joint in model.scalar_joints().filter(follows) {
+        for joint in model.followed_joints() {
             let address = model.jnt_qposadr()[joint] as usize;
             if !measured.contains(&address) {
                 continue;

@@ -192,6 +192,12 @@ impl Model {
         self.extension().is_some_and(|e| e.is_loaded())
     }
 
+    /// Hinges and slides whose motors are put where readings show them, see [`super::Data::show`].
+    pub fn followed_joints(&self) -> impl Iterator<Item = usize> + '_ {
+        let follows = |j: &usize| self.extension().is_some_and(|e| e.follows(*j));
+        self.scalar_joints().filter(follows)
+    }
+
     /// The C structure, for reading.
     pub(super) fn raw(&self) -> &ffi::mjModel {
         // SAFETY: invariant 1: valid, and written only through `&mut self`.

@@ -9,32 +9,34 @@
 
 use crate::mujoco::Swing;
 
-/// s
-const HALF_S: f64 = 6e-3;
-/// s between readings that are looked at
+/// Readings that are looked at before and after a time, and s between them.
+const HALF: usize = 12;
 const EVERY_S: f64 = 5e-4;
+/// Sums of squares and of fourth powers of their numbers.
+const SQUARES: f64 = (HALF * (HALF + 1) * (2 * HALF + 1) / 3) as f64;
+const FOURTHS: f64 =
+    (HALF * (HALF + 1) * (2 * HALF + 1) * (3 * HALF * HALF + 3 * HALF - 1) / 15) as f64;
 
 /// Of readings around a time, by the seconds that they are later.
 pub(crate) fn swing(at: impl Fn(f64) -> f64) -> Swing {
-    let half = (HALF_S / EVERY_S).round() as i32;
-    let values: Vec<(f64, f64)> = (-half..=half)
-        .map(|k| (f64::from(k), at(f64::from(k) * EVERY_S)))
-        .collect();
+    let values: [(f64, f64); 2 * HALF + 1] = std::array::from_fn(|i| {
+        let k = i as f64 - HALF as f64;
+        (k, at(k * EVERY_S))
+    });
     let sum = |of: &dyn Fn(f64, f64) -> f64| values.iter().map(|(k, v)| of(*k, *v)).sum::<f64>();
     // odd and even powers do not mix
-    let (n, squares) = (values.len() as f64, sum(&|k, _| k * k));
-    let fourths = sum(&|k, _| k * k * k * k);
+    let n = values.len() as f64;
     let (even, odd, bent) = (sum(&|_, v| v), sum(&|k, v| k * v), sum(&|k, v| k * k * v));
-    let determinant = n * fourths - squares * squares;
-    let a = (fourths * even - squares * bent) / determinant;
-    let (b, c) = (odd / squares, (n * bent - squares * even) / determinant);
+    let determinant = n * FOURTHS - SQUARES * SQUARES;
+    let a = (FOURTHS * even - SQUARES * bent) / determinant;
+    let (b, c) = (odd / SQUARES, (n * bent - SQUARES * even) / determinant);
     let quick = |(k, v): &(f64, f64)| v - a - k * (b + k * c);
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for r in values.iter().map(quick) {
         (low, high) = (r.min(low), r.max(high));
     }
     Swing {
-        offset: Some(quick(&values[half as usize]) - 0.5 * (low + high)),
+        offset: Some(quick(&values[HALF]) - 0.5 * (low + high)),
         range: high - low,
     }
 }

@@ -25,7 +25,8 @@
 //! s ← ŝ = clamp(quick part),   s' ← s' + (ŝ − s)/h        while they swing by p/2 or more
 //! ```
 //!
-//! as an observer does; what the joint gets is the motor's momentum all the same. That is what is compared with the next reading.
+//! as an observer does. Where it is foretold is what is compared with the next reading; what the joint gets is the motor's momentum
+//! all the same.
 //! Where a recorded motion is filtered, so that no rattling is left, the motor stays in the middle and passes on what it gets, as it does
 //! in the mean.
 //!
@@ -218,12 +219,12 @@ impl Transmission {
 
     /// The motor at the beginning and at the end of the step, and what the first number of memory is then.
     fn step(&self, at: &At<'_>) -> ([Motor; 2], f64) {
-        let (model, data) = (at.data.model(), at.data);
-        let torque = self.torque(data);
-        let inertia = model.dof_armature()[self.dof];
         if at.memory[0] == RATTLES {
             return ([motor(at.memory); 2], RATTLES);
         }
+        let (model, data) = (at.data.model(), at.data);
+        let torque = self.torque(data);
+        let inertia = model.dof_armature()[self.dof];
         let begun = at.memory[0] != 0.0;
         // a flank that was met had the joint jump
         let acceleration = if at.memory[0] == BEGUN {
@@ -295,14 +296,24 @@ impl Law for Transmission {
         since_s: Option<f64>,
         next: &mut [f64],
     ) {
-        let inertia = at.data.model().dof_armature()[self.dof];
         let (numbers, before) = (at.numbers, at.memory[1]);
+        let now = at.data.qvel()[self.dof];
+        if self.joining == Joining::Play
+            && let Some(swing) = self.shown(at.data, numbers[0])
+        {
+            let half = 0.5 * numbers[0];
+            let shown = |offset: f64| (BEGUN, offset.clamp(-half, half));
+            let (begun, s) = swing.offset.map_or((RATTLES, 0.0), shown);
+            next.copy_from_slice(&[begun, s, 0.0, now]);
+            return;
+        }
+        let inertia = at.data.model().dof_armature()[self.dof];
         let through = self.torque(at.data) - inertia * acceleration(self.joint);
         let mut s = match self.joining {
             Joining::Stretch => numbers[0] * through,
             Joining::Play => 0.5 * numbers[0] * through.signum(),
         };
-        let (mut begun, mut speed) = (BEGUN, 0.0);
+        let mut speed = 0.0;
         if let Some(since_s) = since_s {
             (s, speed) = (0.5 * (s + before), (s - before) / since_s);
             if self.joining == Joining::Stretch {
@@ -310,16 +321,7 @@ impl Law for Transmission {
                 s -= 2.0 * numbers[1] * (inertia * numbers[0]).sqrt() * speed;
             }
         }
-        if self.joining == Joining::Play
-            && let Some(swing) = self.shown(at.data, numbers[0])
-        {
-            let half = 0.5 * numbers[0];
-            (s, speed) = (swing.offset.unwrap_or(0.0).clamp(-half, half), 0.0);
-            if swing.offset.is_none() {
-                begun = RATTLES;
-            }
-        }
-        next.copy_from_slice(&[begun, s, speed, at.data.qvel()[self.dof]]);
+        next.copy_from_slice(&[BEGUN, s, speed, now]);
     }
 
     fn follows(&self, joint: usize) -> bool {

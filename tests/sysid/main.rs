@@ -16,5 +16,6 @@ mod nudging;
 mod play;
 mod push;
 mod rollouts;
+mod rotor;
 mod sequential;
 mod simulate;

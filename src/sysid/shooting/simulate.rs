@@ -161,7 +161,9 @@ impl<'a> Simulator<'a> {
             }
             let from = (k - window.first) * nu;
             data.hold(held.as_ref().map(|held| &held[from..from + nu]));
-            data.show(swings(k));
+            if k > window.first {
+                data.show(swings(k));
+            }
             push(k - window.first, data);
             self::read(problem, &problem.model, data, row, false);
             // the step leaves the sensors of its beginning
@@ -189,8 +191,7 @@ fn swings<'a>(
 ) -> impl Fn(usize) -> Vec<(usize, Swing)> + use<'a> {
     let extension = problem.model.extension();
     let late_s = (extension.and_then(|e| e.encoder_delay_s(model))).unwrap_or(0.0);
-    let follows = |j: &usize| extension.is_some_and(|e| e.follows(*j));
-    let joints: Vec<usize> = problem.model.scalar_joints().filter(follows).collect();
+    let joints: Vec<usize> = problem.model.followed_joints().collect();
     move |knot| {
         let Some(path) = &trial.path else {
             return Vec::new();
