@@ -131,17 +131,27 @@ mod tests {
     use crate::gap::effect::write;
     use crate::gap::fit::information;
     use crate::gap::masses::{chosen, machine, searching};
+    use crate::gap::model::Chosen;
+    use crate::gap::screen::Screen;
+    use crate::gap::search::Search;
+
+    /// What a screen says where a mass has a drag that its model lacks.
+    fn dragged(drag: f64, then: impl FnOnce(&Chosen, &Search<'_>, Screen)) {
+        let base = machine(r#"damping=".2""#, "");
+        let law = chosen(&base, "quadratic_drag", "a", &[drag]);
+        let hidden = write(&base, law.effect, &law.place, &law.values).expect("written");
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&base, &hidden.file, config, |search, watch| {
+            let screen = search.screen(watch).expect("screened").expect("whole");
+            then(&law, search, screen);
+        });
+    }
 
     /// Of the drag that is tried first, a mass would come to rest.
     #[test]
     fn drag_is_expected_as_it_is_whatever_is_tried_first() {
         const DRAG: f64 = 0.025;
-        let base = machine(r#"damping=".2""#, "");
-        let law = chosen(&base, "quadratic_drag", "a", &[DRAG]);
-        let hidden = write(&base, law.effect, &law.place, &law.values).expect("written");
-        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
-        searching(&base, &hidden.file, config, |search, watch| {
-            let screen = search.screen(watch).expect("screened").expect("whole");
+        dragged(DRAG, |law, _, screen| {
             let drag = (screen.candidates.iter())
                 .find(|c| c.effect.about().name == "quadratic_drag" && c.place == law.place)
                 .expect("a candidate");
@@ -158,12 +168,7 @@ mod tests {
     fn a_size_that_says_nothing_is_tried_again_however_little_it_explains() {
         const DRAG: f64 = 0.01;
         const FIRST: f64 = 20.0;
-        let base = machine(r#"damping=".2""#, "");
-        let law = chosen(&base, "quadratic_drag", "a", &[DRAG]);
-        let hidden = write(&base, law.effect, &law.place, &law.values).expect("written");
-        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
-        searching(&base, &hidden.file, config, |search, watch| {
-            let linear = (search.screen(watch).expect("screened").expect("whole")).linear;
+        dragged(DRAG, |law, search, Screen { linear, .. }| {
             let (look, parameters) = (search.look(), &search.windows.problem.parameters);
             let prior: Vec<_> = parameters.prior_slopes(&search.x).collect();
             let absorb = Absorb::new(&information(&linear, 1), parameters, &search.x);

@@ -6,7 +6,7 @@ use phantom::mujoco::{Data, Model};
 use phantom::recording::{Kind, Recording, Stream};
 use phantom::rng::{self, Purpose};
 use phantom::supplement;
-use phantom::sysid::fit::{Fit, Start};
+use phantom::sysid::fit::Start;
 use phantom::sysid::problem::{Problem, ProblemConfig};
 use phantom::sysid::shooting::{self, ShootingSettings};
 
@@ -65,6 +65,6 @@ pub(crate) fn fitted(model: Arc<Model>, config: &str, recording: &Recording) -> 
         window_s: 0.1,
         ..ShootingSettings::default()
     };
-    let fit: Fit = shooting::solve(&problem, &settings, &start, &mut |_| true).expect("a fit");
+    let fit = shooting::solve(&problem, &settings, &start, &mut |_| true).expect("a fit");
     (problem.free_values(&fit.x), fit.cost)
 }
