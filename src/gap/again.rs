@@ -9,8 +9,8 @@
 //!
 //! for the candidates that explain most. A size tried first may be a hundred times too large, as drag that brings a joint to
 //! rest, and then expects the wrong sign, or to explain nothing: drag of 0.0026 N m s²/rad² that explained a quarter of a finger's
-//! cost was expected to explain a thousandth. It is therefore taken again of all whose first size is far larger than one that would
-//! do all that is left; where the sign is wrong or hardly any size is expected, with that one. Beside effects that are in the model
+//! cost was expected to explain a thousandth. It is therefore taken again of all of one sign, which are those that bend, whose first
+//! size is far larger than one that would do all that is left; where the sign is wrong or hardly any size is expected, with that one. Beside effects that are in the model
 //! there are those that they may be mistaken for ([`super::lookalike`]): of these little is expected, and a small size gives the
 //! derivative.
 
@@ -72,11 +72,12 @@ impl Look<'_> {
                 let beta = beta.clamp(-most, most);
                 let length: f64 = columns[*c].parts.iter().map(DVector::norm_squared).sum();
                 let whole = (2.0 * normal.cost() / length).sqrt().min(size.abs());
-                let far = taken[*c].abs() > FAR * whole;
+                let one_sided = parameter.sign == Sign::Positive;
+                let far = one_sided && taken[*c].abs() > FAR * whole;
                 if rank >= MOST && !beside && !far {
                     continue;
                 }
-                let wrong = parameter.sign == Sign::Positive && beta <= 0.0;
+                let wrong = one_sided && beta <= 0.0;
                 let least = LEAST * if beside { size.abs() } else { whole };
                 let little = beta.abs() < least;
                 if parameter.is_whole() || (little && !(wrong || far || beside)) {
