@@ -171,6 +171,7 @@ impl Search<'_> {
             let mut windows = self.cut(cuts, length_s)?;
             let mut begun = windows.clone();
             begun.begin_as_measured(&self.x)?;
+            windows.factors.clone_from(&begun.factors);
             let mut astray = begun.astray(&self.x, &self.noise)?;
             if astray >= ASTRAY && begun.fit_states(&self.x, watch)? {
                 astray = begun.astray(&self.x, &self.noise)?;
