@@ -4,8 +4,8 @@
 //! Residuals are therefore simulated in the model's own step h, and derivatives, as differences of two simulations alike,
 //! in steps of c h. c is the largest of 8, 4, 2 with which the motors and every parameter act as in steps of h, in a part of the
 //! windows, looked at as a whole. Where joints stick a few windows spoil that for all: then it is chosen for each by itself.
-//! Fits halve it, or take single steps where it differs, where no step of theirs leads on ([`super::fit`]); where they have ended
-//! it is chosen anew, for the screen and for what is fitted next.
+//! Fits halve it, or take single steps where it differs, where no step of theirs leads on ([`super::fit`]), but not those of rivals
+//! that are behind; where they have ended it is chosen anew, for the screen and for what is fitted next.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -93,7 +93,8 @@ impl Search<'_> {
         (screen, held): (&Screen, Option<&Held>),
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Self, Vec<Evidence>)>, GapError> {
-        let Some(fitted) = self.fitted_with(more, screen, ITERATIONS, watch)? else {
+        let Some(fitted) = self.fitted_with(more, screen, (ITERATIONS, f64::INFINITY), watch)?
+        else {
             return Ok(None);
         };
         if self.absurd(&fitted) {

@@ -63,7 +63,7 @@ impl Windows {
         self.fit_below(f64::INFINITY, x, max_iterations, watch)
     }
 
-    /// The same, given up where derivatives foretell no cost below `bound`.
+    /// The same, given up where derivatives foretell no cost below `bound`, or lead nowhere above it.
     ///
     /// # Errors
     /// As [`Windows::fit`].
@@ -101,7 +101,7 @@ impl Windows {
                 continue; // with new derivatives there may be more
             }
             let Some(taken) = self.along(&derivatives, &step, (&x, &here, cost))? else {
-                if fresh && !self.shorten_steps() {
+                if fresh && (cost > bound || !self.shorten_steps()) {
                     break;
                 }
                 continue;
@@ -425,6 +425,29 @@ mod tests {
                 "{} {steps}",
                 far.cost
             );
+        });
+    }
+
+    /// A mass on a spring that is fitted already, by derivatives in steps of a quarter of its period.
+    #[test]
+    fn what_is_stuck_above_its_bound_is_not_fitted_in_short_steps() {
+        let base = machine(r#"damping=".2" stiffness="5000""#, "");
+        let hidden = machine(r#"damping=".2" stiffness="5500""#, "");
+        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"stiffness\"\n";
+        searching(&base, &hidden, config, |search, _| {
+            let begin = search.windows.problem.parameters.start();
+            let mut there = search.windows.clone();
+            let fit = there.fit(&begin, 100, &mut |_| true).expect("fitted");
+            let below = |bound: f64| {
+                let mut windows = there.clone();
+                windows.factors.fill(8);
+                let again = windows.fit_below(bound, &fit.x, 12, &mut |_| true);
+                (again.expect("fitted").cost, windows.factors[0])
+            };
+            assert!(below(f64::INFINITY).1 < 8);
+            let bound = 0.99 * fit.cost;
+            let (cost, factor) = below(bound);
+            assert!(cost > bound && factor == 8, "{cost} {factor}");
         });
     }
 }

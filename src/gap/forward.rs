@@ -26,6 +26,7 @@ use super::owed::Owed;
 use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
 use super::search::Search;
+use super::shapes::WORSE;
 use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted before one is kept: a spring with a rest that no screen expects may be the tenth of them.
@@ -139,15 +140,22 @@ impl Search<'_> {
         let unexplained = self.unexplained(screen);
         let least = self.limits.gain * unexplained;
         let mut fitted: Vec<(Fitted, &Candidate)> = Vec::new();
-        for c in rivals {
-            fitted.extend(self.begun(c, screen, watch)?);
-        }
         let fall = |f: &Fitted| self.cost - f.cost;
-        let most = fitted.iter().map(|f| fall(&f.0)).fold(0.0, f64::max);
+        let mut most = 0.0_f64;
+        for c in rivals {
+            // what will not lead is not fitted to the end
+            let bound = self.cost - LEADING * most;
+            let begun = self.begun(c, (screen, bound), watch)?;
+            most = begun.iter().map(|f| fall(&f.0)).fold(most, f64::max);
+            fitted.extend(begun);
+        }
         fitted.retain(|f| fall(&f.0) >= LEADING * most);
+        fitted.sort_by(|a, b| a.0.cost.total_cmp(&b.0.cost));
+        let mut best = f64::INFINITY;
         for (own, candidate) in &mut fitted {
-            own.improve(self, watch)?;
+            own.improve_below(WORSE * best, self, watch)?;
             self.other_shapes((own, candidate), screen, watch)?;
+            best = best.min(own.cost);
         }
         fitted.retain(|f| fall(&f.0) >= least);
         if fitted.is_empty() {

@@ -108,7 +108,7 @@ fn add(
     let given: Vec<&Candidate> = (effects.iter())
         .filter_map(|asked| screen.candidates.iter().find(|c| is(c, asked)))
         .collect();
-    let fitted = search.fitted_with(&given, &screen, ITERATIONS, watch)?;
+    let fitted = search.fitted_with(&given, &screen, (ITERATIONS, f64::INFINITY), watch)?;
     Ok(fitted.map_or(0, |fitted| {
         search.take(fitted);
         given.len()

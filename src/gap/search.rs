@@ -298,7 +298,7 @@ impl<'a> Search<'a> {
         &self,
         more: &[&Candidate],
         screen: &Screen,
-        iterations: usize,
+        effort: Effort,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
         let mut chosen = self.chosen.clone();
@@ -308,7 +308,6 @@ impl<'a> Search<'a> {
             .flat_map(|c| c.columns.iter().copied())
             .collect();
         let step = screen.normal.step(&columns);
-        let effort = (iterations, f64::INFINITY);
         self.fitted_after(Some((&step, &screen.linear)), &chosen, effort, watch)
     }
 

@@ -10,22 +10,22 @@ use super::screen::{Candidate, Screen};
 use super::search::{FEW_ITERATIONS, Search};
 use super::{GapError, Watch};
 
-/// Times the cost of one shape that another has to be foretold to end below.
-const WORSE: f64 = 1.25;
+/// Times the cost of one fit that another has to be foretold to end below.
+pub(super) const WORSE: f64 = 1.25;
 
 impl Search<'_> {
     /// A candidate in the model, the fit begun. Where that falls short of what the screen expects, other shapes are tried: how
-    /// dry friction changes with speed is not linear in anything.
+    /// dry friction changes with speed is not linear in anything. Given up where no cost below `bound` is foretold.
     pub(super) fn begun<'s>(
         &self,
         candidate: &'s Candidate,
-        screen: &Screen,
+        (screen, bound): (&Screen, f64),
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Fitted, &'s Candidate)>, GapError> {
         let mut best: Option<(Fitted, &Candidate)> = None;
         for c in candidate.shapes() {
             let Some(score) = &c.score else { continue };
-            let own = self.fitted_with(&[c], screen, FEW_ITERATIONS, watch)?;
+            let own = self.fitted_with(&[c], screen, (FEW_ITERATIONS, bound), watch)?;
             best = (best.into_iter().chain(own.map(|own| (own, c))))
                 .min_by(|a, b| a.0.cost.total_cmp(&b.0.cost));
             let enough = self.cost - LEADING * score.gain;
@@ -52,10 +52,10 @@ impl Search<'_> {
         };
         let others = own_shapes.shapes().filter(|c| !is_present(c));
         for other in others.filter(|c| c.score.is_some()) {
-            let Some(mut fit) = self.fitted_with(&[other], screen, FEW_ITERATIONS, watch)? else {
-                continue;
-            };
-            fit.improve_below(WORSE * own.cost, self, watch)?;
+            let bound = WORSE * own.cost;
+            let begun = self.fitted_with(&[other], screen, (FEW_ITERATIONS, bound), watch)?;
+            let Some(mut fit) = begun else { continue };
+            fit.improve_below(bound, self, watch)?;
             if fit.cost < own.cost {
                 (*own, *candidate) = (fit, other);
             }
@@ -99,10 +99,15 @@ mod tests {
                 others: vec![expected.clone()],
                 ..expected.clone()
             };
-            let begun = search.begun(&crawl, &screen, watch).expect("fitted");
+            let begun = search
+                .begun(&crawl, (&screen, f64::INFINITY), watch)
+                .expect("fitted");
             let (fitted, of) = begun.expect("follows");
             assert_eq!(of.values, expected.values);
             assert!(fitted.cost < search.cost);
+            let begun = search.begun(&expected, (&screen, 0.0), watch);
+            let (given_up, _) = begun.expect("fitted").expect("follows");
+            assert!(given_up.cost > fitted.cost);
             // what is as good as expected gives way all the same
             let crawl = Candidate {
                 score: expected.score.clone().map(|own| Score {
@@ -113,7 +118,9 @@ mod tests {
             };
             screen.candidates[at] = crawl;
             let crawl = &screen.candidates[at];
-            let begun = search.begun(crawl, &screen, watch).expect("fitted");
+            let begun = search
+                .begun(crawl, (&screen, f64::INFINITY), watch)
+                .expect("fitted");
             let (mut fitted, mut of) = begun.expect("follows");
             assert_eq!(of.values, crawl.values);
             let (before, held) = (fitted.cost, (&mut fitted, &mut of));
