@@ -9,8 +9,8 @@
 //! ds = −(RᵀR + λ D)⁻¹ Rᵀ Qᵀ r        until ½ |Qᵀ r|² is a small part of the mean window's cost
 //! ```
 //!
-//! with Q, R of [`super::linear`], at the window's own point, or, where it fits much worse than others, from one of those that were
-//! measured, or where the window before it ends, if that is nearer. One that still costs as much as ten is looked for from elsewhere: a single window that ends
+//! with Q, R of [`super::linear`], at the window's own point, or from one of those that were measured, or where the window
+//! before it ends, if that is nearer. One that still costs as much as ten is looked for from elsewhere: a single window that ends
 //! at a limit by mistake would have all the weight.
 
 use std::collections::BTreeMap;
@@ -40,12 +40,13 @@ impl Windows {
         let total: f64 = here.iter().map(|f| f.cost).sum();
         let mean = total / here.len() as f64;
         let enough = SETTLED * mean;
-        let is_astray =
-            |w: &usize| !here[*w].is_like(&linear.rows[*w]) || here[*w].cost > ASTRAY * mean;
         // what the state could take off, were the window linear
-        let left = |w: usize| 0.5 * here[w].along(&linear.rows[w]).norm_squared();
         let left: Vec<usize> = (0..here.len())
-            .filter(|w| is_astray(w) || left(*w) > enough)
+            .filter(|&w| {
+                let row = &linear.rows[w];
+                let left = || 0.5 * here[w].along(row).norm_squared();
+                !here[w].is_like(row) || here[w].cost > ASTRAY * mean || left() > enough
+            })
             .collect();
         if left.is_empty() {
             return;
@@ -55,12 +56,11 @@ impl Windows {
         let ends =
             (0..here.len()).map(|w| self.preceding(w).map_or(&here[w].state, |p| &here[p].end));
         let ends: Vec<State> = ends.cloned().collect();
-        let astray: Vec<usize> = left.iter().copied().filter(is_astray).collect();
         for begin in self.measured.iter().chain([&ends]) {
-            let Ok(found) = held.simulate_some(&[], begin, &astray) else {
+            let Ok(found) = held.simulate_some(&[], begin, &left) else {
                 continue;
             };
-            for (&w, found) in astray.iter().zip(found) {
+            for (&w, found) in left.iter().zip(found) {
                 if let Some(found) = found
                     && found.cost < here[w].cost
                 {
