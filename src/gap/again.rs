@@ -10,9 +10,9 @@
 //! for the candidates that explain most. A size tried first may be a hundred times too large, as drag that brings a joint to
 //! rest, and then expects the wrong sign, or to explain nothing: drag of 0.0026 N m s²/rad² that explained a quarter of a finger's
 //! cost was expected to explain a thousandth. It is therefore taken again of all of one sign, which are those that bend, whose first
-//! size is far larger than one that would do all that is left; where the sign is wrong or hardly any size is expected, with that one. Beside effects that are in the model
-//! there are those that they may be mistaken for ([`super::lookalike`]): of these little is expected, and a small size gives the
-//! derivative.
+//! size is far larger than one that would do all that is left; where the sign is wrong or hardly any size is expected, with that
+//! one. Beside effects that are in the model there are those that they may be mistaken for ([`super::lookalike`]): of these little
+//! is expected, and a small size gives the derivative.
 
 use nalgebra::DVector;
 

@@ -101,6 +101,7 @@ impl Windows {
                 continue; // with new derivatives there may be more
             }
             let Some(taken) = self.along(&derivatives, &step, (&x, &here, cost))? else {
+                // short steps are for what is in the lead: they cost several times as much
                 if fresh && (cost > bound || !self.shorten_steps()) {
                     break;
                 }
