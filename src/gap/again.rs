@@ -68,6 +68,9 @@ impl Look<'_> {
                 .zip(&expected)
             {
                 let parameter = &parameters[p];
+                if parameter.is_whole() {
+                    continue;
+                }
                 let most = parameter.high * parameter.scale(&scales);
                 let beta = beta.clamp(-most, most);
                 let length: f64 = columns[*c].parts.iter().map(DVector::norm_squared).sum();
@@ -80,7 +83,7 @@ impl Look<'_> {
                 let wrong = one_sided && beta <= 0.0;
                 let least = LEAST * if beside { size.abs() } else { whole };
                 let little = beta.abs() < least;
-                if parameter.is_whole() || (little && !(wrong || far || beside)) {
+                if little && !(wrong || far || beside) {
                     continue;
                 }
                 let beta = match (wrong || little, beside) {

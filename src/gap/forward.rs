@@ -26,7 +26,6 @@ use super::owed::Owed;
 use super::score::Score;
 use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
 use super::search::Search;
-use super::shapes::WORSE;
 use super::{GapError, Stage, Watch};
 
 /// Candidates that are fitted before one is kept: a spring with a rest that no screen expects may be the tenth of them.
@@ -44,6 +43,8 @@ const LARGE: f64 = 0.1;
 const NEAR: f64 = 0.2;
 /// Part of the best one's fall that rivals have after few iterations; of what is left, it is most.
 pub(super) const LEADING: f64 = 0.5;
+/// Times the cost of one fit that another has to be foretold to end below.
+pub(super) const WORSE: f64 = 1.25;
 /// Part of the held-out recordings' cost that an effect takes off it at least.
 const OF_USE: f64 = 0.05;
 /// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
@@ -145,7 +146,7 @@ impl Search<'_> {
         for c in rivals {
             // what will not lead is not fitted to the end
             let bound = self.cost - LEADING * most;
-            let begun = self.begun(c, (screen, bound), watch)?;
+            let begun = self.begun_below(bound, c, screen, watch)?;
             most = begun.iter().map(|f| fall(&f.0)).fold(most, f64::max);
             fitted.extend(begun);
         }

@@ -5,21 +5,29 @@
 //! its grid, and one that falls short of what the screen foretold from the next.
 
 use super::fitted::Fitted;
-use super::forward::LEADING;
+use super::forward::{LEADING, WORSE};
 use super::screen::{Candidate, Screen};
 use super::search::{FEW_ITERATIONS, Search};
 use super::{GapError, Watch};
 
-/// Times the cost of one fit that another has to be foretold to end below.
-pub(super) const WORSE: f64 = 1.25;
-
 impl Search<'_> {
     /// A candidate in the model, the fit begun. Where that falls short of what the screen expects, other shapes are tried: how
-    /// dry friction changes with speed is not linear in anything. Given up where no cost below `bound` is foretold.
+    /// dry friction changes with speed is not linear in anything.
     pub(super) fn begun<'s>(
         &self,
         candidate: &'s Candidate,
-        (screen, bound): (&Screen, f64),
+        screen: &Screen,
+        watch: &mut Watch<'_>,
+    ) -> Result<Option<(Fitted, &'s Candidate)>, GapError> {
+        self.begun_below(f64::INFINITY, candidate, screen, watch)
+    }
+
+    /// The same, given up where no cost below `bound` is foretold.
+    pub(super) fn begun_below<'s>(
+        &self,
+        bound: f64,
+        candidate: &'s Candidate,
+        screen: &Screen,
         watch: &mut Watch<'_>,
     ) -> Result<Option<(Fitted, &'s Candidate)>, GapError> {
         let mut best: Option<(Fitted, &Candidate)> = None;
@@ -99,13 +107,11 @@ mod tests {
                 others: vec![expected.clone()],
                 ..expected.clone()
             };
-            let begun = search
-                .begun(&crawl, (&screen, f64::INFINITY), watch)
-                .expect("fitted");
+            let begun = search.begun(&crawl, &screen, watch).expect("fitted");
             let (fitted, of) = begun.expect("follows");
             assert_eq!(of.values, expected.values);
             assert!(fitted.cost < search.cost);
-            let begun = search.begun(&expected, (&screen, 0.0), watch);
+            let begun = search.begun_below(0.0, &expected, &screen, watch);
             let (given_up, _) = begun.expect("fitted").expect("follows");
             assert!(given_up.cost > fitted.cost);
             // what is as good as expected gives way all the same
@@ -118,9 +124,7 @@ mod tests {
             };
             screen.candidates[at] = crawl;
             let crawl = &screen.candidates[at];
-            let begun = search
-                .begun(crawl, (&screen, f64::INFINITY), watch)
-                .expect("fitted");
+            let begun = search.begun(crawl, &screen, watch).expect("fitted");
             let (mut fitted, mut of) = begun.expect("follows");
             assert_eq!(of.values, crawl.values);
             let (before, held) = (fitted.cost, (&mut fitted, &mut of));

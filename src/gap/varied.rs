@@ -59,7 +59,7 @@ impl Search<'_> {
                 .into_iter()
                 .filter(|c| c.place == *place)
             {
-                let Some((both, _)) = there.begun(rival, (&screen, f64::INFINITY), watch)? else {
+                let Some((both, _)) = there.begun(rival, &screen, watch)? else {
                     continue;
                 };
                 let own = alike::price(both.cost, &both.x);
@@ -89,9 +89,7 @@ mod tests {
                 let mut all = screen.candidates.iter();
                 let own = all.find(|c| c.effect.about().name == name && c.place.to_string() == "a");
                 let candidate = own.expect("a candidate");
-                let begun = search
-                    .begun(candidate, (&screen, f64::INFINITY), watch)
-                    .expect("fitted");
+                let begun = search.begun(candidate, &screen, watch).expect("fitted");
                 let (mut fit, _) = begun.expect("follows");
                 fit.improve(search, watch).expect("fitted");
                 let costs = [fit.cost; 2];
