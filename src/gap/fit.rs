@@ -84,7 +84,7 @@ impl Windows {
             let (derivatives, normal) = if let Some(known) = linear.take() {
                 known
             } else {
-                let found = self.linearise(&x)?;
+                let found = self.linearise_at(&x, &here.iter().collect::<Vec<_>>())?;
                 let normal = information(&found, x.len());
                 (found, normal)
             };
@@ -144,7 +144,7 @@ impl Windows {
             let Some(mut windows) = self.best(&to, here, &step.changes(linear, part))? else {
                 continue;
             };
-            self.settle(&to, &mut windows, linear);
+            self.settle(&to, &mut windows, linear, cost);
             let new = self.cost(&to, &windows);
             if new < cost {
                 return Ok(Some(Taken {

@@ -35,8 +35,8 @@ const MOST_DAMPING: f64 = 1e2;
 
 impl Windows {
     /// Brings the windows `here`, at parameters `x`, nearer to what their first states allow; `linear` is of a near
-    /// point. Windows that the engine refuses to follow stay where they are.
-    pub(super) fn settle(&self, x: &[f64], here: &mut [Followed], linear: &Linear) {
+    /// point. Windows that the engine refuses to follow stay where they are, and all do once those that stay anyway cost `bound`.
+    pub(super) fn settle(&self, x: &[f64], here: &mut [Followed], linear: &Linear, bound: f64) {
         let total: f64 = here.iter().map(|f| f.cost).sum();
         let mean = total / here.len() as f64;
         let enough = SETTLED * mean;
@@ -48,7 +48,14 @@ impl Windows {
                 !here[w].is_like(row) || here[w].cost > ASTRAY * mean || left() > enough
             })
             .collect();
-        if left.is_empty() {
+        let bound = bound - self.problem.parameters.prior_cost(x);
+        // what is left or lost may get better by all that it costs
+        let in_vain = |here: &[Followed], left: &[usize]| {
+            let stay = (here.iter().enumerate())
+                .filter(|(w, f)| f.cost <= LOST * mean && !left.contains(w));
+            stay.map(|(_, f)| f.cost).sum::<f64>() >= bound
+        };
+        if left.is_empty() || in_vain(here, &left) {
             return;
         }
         let mut held = self.holding(x);
@@ -68,7 +75,10 @@ impl Windows {
                 }
             }
         }
-        held.approach(here, left, enough);
+        held.approach(here, left, enough, in_vain);
+        if in_vain(here, &[]) {
+            return;
+        }
         let lost: Vec<usize> = (0..here.len())
             .filter(|&w| here[w].cost > LOST * mean)
             .collect();
@@ -88,7 +98,8 @@ impl Windows {
         let before: Vec<(usize, Followed)> = begun
             .filter_map(|(&w, found)| Some((w, mem::replace(&mut here[w], found?))))
             .collect();
-        self.approach(here, before.iter().map(|b| b.0).collect(), enough);
+        let left = before.iter().map(|b| b.0).collect();
+        self.approach(here, left, enough, |_, _| false);
         for (w, before) in before {
             let nearer = here[w].cost < before.cost;
             if !nearer {
@@ -98,8 +109,14 @@ impl Windows {
     }
 
     /// Steps of the windows `left` from where they are `here`, without parameters, until no more than `enough` is left in
-    /// their first states.
-    fn approach(&mut self, here: &mut [Followed], mut left: Vec<usize>, enough: f64) {
+    /// their first states, or going on is `in_vain`.
+    fn approach(
+        &mut self,
+        here: &mut [Followed],
+        mut left: Vec<usize>,
+        enough: f64,
+        in_vain: impl Fn(&[Followed], &[usize]) -> bool,
+    ) {
         self.states = here.iter().map(|f| f.state.clone()).collect();
         let mut damping = vec![FIRST_DAMPING; here.len()];
         // derivatives of each at its state
@@ -109,7 +126,8 @@ impl Windows {
                 .filter(|w| !rows.contains_key(w))
                 .collect();
             if !moved.is_empty() {
-                let Ok(linear) = self.only(&moved).linearise(&[]) else {
+                let followed: Vec<&Followed> = moved.iter().map(|&w| &here[w]).collect();
+                let Ok(linear) = self.only(&moved).linearise_at(&[], &followed) else {
                     return;
                 };
                 rows.extend(moved.into_iter().zip(linear.rows));
@@ -158,6 +176,9 @@ impl Windows {
                 }
             }
             left = next;
+            if in_vain(here, &left) {
+                break;
+            }
         }
     }
 }
@@ -176,6 +197,33 @@ mod tests {
             lose(&mut windows);
             let fit = (windows.fit(&x, iterations, &mut |_| true)).expect("fitted");
             assert!(fit.cost < 1.1 * search.cost, "{} {}", fit.cost, search.cost);
+        });
+    }
+
+    /// A window that has lost its first state is brought back where the others leave room for it below the bound.
+    #[test]
+    fn nothing_is_settled_in_vain() {
+        const WINDOW: usize = 3;
+        let base = machine(r#"damping=".2""#, "");
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&base, &base, config, |search, _| {
+            let (x, mut windows) = (&search.x, search.windows.clone());
+            windows.states[WINDOW].qvel[0] += 1.0;
+            let here = windows.followed(x).expect("followed");
+            let linear = windows.linearise(x).expect("linear");
+            let others: f64 = (here.iter().enumerate())
+                .filter(|(w, _)| *w != WINDOW)
+                .map(|(_, f)| f.cost)
+                .sum();
+            let stay = others + windows.problem.parameters.prior_cost(x);
+            let settled = |bound: f64| {
+                let mut windows_here = here.clone();
+                windows.settle(x, &mut windows_here, &linear, bound);
+                windows_here[WINDOW].cost
+            };
+            let lost = here[WINDOW].cost;
+            assert_eq!(settled(0.9 * stay), lost);
+            assert!(settled(1.1 * stay) < 0.01 * lost);
         });
     }
 
