@@ -14,6 +14,8 @@ use crate::mujoco::Model;
 
 /// Level written where only a part that changes is asked for: the constraint must exist. Part of that size.
 const FLOOR: f64 = 1e-3;
+/// What a motor's torque is taken to be at least, N m or N: friction by load is a share of that.
+const LEAST_LOAD: f64 = 1e-3;
 /// The engine's defaults of `solreffriction` and `solimpfriction`.
 const SOFT: ([f64; 2], [f64; 3]) = ([0.02, 1.0], [0.9, 0.95, 0.001]);
 /// Impedance near 1, as far as solvers stay well behaved.
@@ -23,7 +25,7 @@ pub(super) const UNLOADED: &str = "the same motions with the joint's friction go
      an offset stays, and beside friction nothing tells";
 const LEVEL: Parameter = Parameter::companion("level", Dimension::Force, [0.02, 0.5]);
 
-/// A dry joint's attributes with `level` more friction, and the number it is.
+/// A dry joint's attributes with `level` more friction, and the number it is; friction that is beside it changes by `extra`, N m or N.
 fn dry(site: &Site<'_>, level: f64, extra: f64) -> Result<(Vec<Change>, Number), String> {
     let (model, dof) = (site.model, site.dof()?);
     let before = model.dof_frictionloss()[dof];
@@ -70,14 +72,14 @@ fn dry(site: &Site<'_>, level: f64, extra: f64) -> Result<(Vec<Change>, Number),
     Ok((changes, number))
 }
 
-/// A supplement of level-changing friction; `level` is value number `at`, the others are the supplement's.
+/// A supplement of friction whose level changes by `extra`; the level is value number `at`, the others are the supplement's.
 fn changing(
     kind: &'static str,
     site: &Site<'_>,
-    values: &[f64],
-    at: usize,
+    (values, at): (&[f64], usize),
+    extra: f64,
 ) -> Result<Expression, String> {
-    let (changes, number) = dry(site, values[at], values[0])?;
+    let (changes, number) = dry(site, values[at], extra)?;
     let own: Vec<f64> = values
         .iter()
         .enumerate()
@@ -186,7 +188,7 @@ impl Effect for Asymmetric {
     }
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        changing("asymmetric_friction", site, values, 1)
+        changing("asymmetric_friction", site, (values, 1), values[0])
     }
 
     fn in_dry_joints(&self) -> Option<(&'static str, f64)> {
@@ -234,7 +236,7 @@ impl Effect for Stribeck {
     }
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        changing("stribeck_friction", site, values, 1)
+        changing("stribeck_friction", site, (values, 1), values[0])
     }
 }
 
@@ -279,7 +281,24 @@ impl Effect for LoadDependent {
     }
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        // the floor is a part of a torque, taken as 1
-        changing("load_dependent_friction", site, values, 1)
+        let extra = LEAST_LOAD * values[0];
+        changing("load_dependent_friction", site, (values, 1), extra)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gap::effect::write;
+    use crate::gap::masses::{chosen, machine};
+
+    /// A share of a small motor's torque is no more than a ten-thousandth of that, and so must be what is there without load.
+    #[test]
+    fn friction_by_load_has_no_level_that_shows() {
+        const SHARE: f64 = 0.1;
+        let base = machine("", "");
+        let law = chosen(&base, "load_dependent_friction", "a", &[SHARE, 0.0]);
+        let written = write(&base, law.effect, &law.place, &law.values).expect("written");
+        let level = written.file.model.dof_frictionloss()[0];
+        assert!(level > 0.0 && level < 1e-5 * SHARE, "{level}");
     }
 }
