@@ -7,11 +7,13 @@
 //! Fits halve it, or take single steps where it differs, where no step of theirs leads on ([`super::fit`]), but not those of rivals
 //! that are behind; where they have ended it is chosen anew, for the screen and for what is fitted next.
 
+use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
+use super::followed::Followed;
 use super::linear::{Column, Row};
 use super::windows::Windows;
 use crate::mujoco::Model;
@@ -184,14 +186,14 @@ impl Windows {
         }
         let mut look = self.at_most(LOOKS);
         // where nothing can be simulated the fit says so
-        if look.followed(x).is_err() {
+        let Ok(here) = look.followed(x) else {
             return Ok(());
-        }
-        let exact = look.responses(x)?;
+        };
+        let exact = look.responses(x, &here)?;
         for &factor in &possible {
             look.factors.fill(factor);
             // what breaks down in longer steps is no use
-            let Ok(found) = look.responses(x) else {
+            let Ok(found) = look.responses(x, &here) else {
                 continue;
             };
             if exact.iter().zip(&found).all(|(a, b)| alike(a, b)) {
@@ -205,7 +207,10 @@ impl Windows {
 
     /// The same for each window by itself, all in single steps yet.
     fn choose_each(&mut self, x: &[f64], possible: &[usize]) {
-        let Ok(exact) = self.responses(x) else {
+        let Ok(Some(here)) = self.simulate(x, &self.states) else {
+            return;
+        };
+        let Ok(exact) = self.responses(x, &here) else {
             return;
         };
         // lengths of which a part may be wrong in any window
@@ -223,7 +228,8 @@ impl Windows {
             }
             let mut some = self.only(&left);
             some.factors.fill(factor);
-            let Ok(found) = some.responses(x) else {
+            let own: Vec<&Followed> = left.iter().map(|&w| &here[w]).collect();
+            let Ok(found) = some.responses(x, &own) else {
                 continue;
             };
             let mut rest = Vec::new();
@@ -254,9 +260,13 @@ impl Windows {
         any
     }
 
-    /// What parameters and motors do to all rows, first states taken out.
-    fn responses(&self, x: &[f64]) -> Result<Vec<Column>, SysidError> {
-        let linear = self.linearise(x)?;
+    /// What parameters and motors do to all rows, first states taken out; every window is followed `here`.
+    fn responses<F: Borrow<Followed>>(
+        &self,
+        x: &[f64],
+        here: &[F],
+    ) -> Result<Vec<Column>, SysidError> {
+        let linear = self.linearise_at(x, here)?;
         let mut out: Vec<Column> = (0..x.len())
             .map(|j| {
                 let rows = linear.rows.iter();
@@ -310,12 +320,13 @@ mod tests {
             windows.choose_each(x, &[4, 2]);
             let longest = windows.factors.iter().filter(|f| **f == 4).count();
             assert!(2 * longest > n && longest < n, "{longest} of {n}");
-            let found = windows.responses(x).expect("linear");
+            let here = windows.followed(x).expect("followed");
+            let found = windows.responses(x, &here).expect("linear");
             windows.factors.fill(4);
-            let all_long = windows.responses(x).expect("linear");
+            let all_long = windows.responses(x, &here).expect("linear");
             windows.factors.fill(1);
             let exact_steps = windows.factors.clone();
-            let exact = windows.responses(x).expect("linear");
+            let exact = windows.responses(x, &here).expect("linear");
             let most = |of: &[Column]| {
                 let each = exact.iter().zip(of).map(|(a, b)| wrong(a, b));
                 each.fold(0.0, f64::max)

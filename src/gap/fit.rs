@@ -84,7 +84,7 @@ impl Windows {
             let (derivatives, normal) = if let Some(known) = linear.take() {
                 known
             } else {
-                let found = self.linearise_at(&x, &here.iter().collect::<Vec<_>>())?;
+                let found = self.linearise_at(&x, &here)?;
                 let normal = information(&found, x.len());
                 (found, normal)
             };

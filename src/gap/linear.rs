@@ -9,6 +9,7 @@
 //! | Q, R | [`Row::basis`], [`Row::triangle`] |
 //! | r̃, J̃, Qᵀ J | [`Row::residual`], [`Row::parameters`], [`Row::along`] |
 
+use std::borrow::Borrow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -92,14 +93,18 @@ impl Windows {
     /// The engine refuses a number.
     pub(super) fn linearise(&self, x: &[f64]) -> Result<Linear, SysidError> {
         let here = self.simulate(x, &self.states)?.ok_or_else(lost)?;
-        self.linearise_at(x, &here.iter().collect::<Vec<_>>())
+        self.linearise_at(x, &here)
     }
 
     /// The same where every window is followed already, `here` at `x`: a fifth of the work.
     ///
     /// # Errors
     /// As [`Windows::linearise`].
-    pub(super) fn linearise_at(&self, x: &[f64], here: &[&Followed]) -> Result<Linear, SysidError> {
+    pub(super) fn linearise_at<F: Borrow<Followed>>(
+        &self,
+        x: &[f64],
+        here: &[F],
+    ) -> Result<Linear, SysidError> {
         let is_longer = self.factors.iter().any(|f| *f > 1);
         match self.linearise_in(x, here, &self.factors) {
             // what breaks down in longer steps may not in short ones
@@ -110,15 +115,15 @@ impl Windows {
         }
     }
 
-    fn linearise_in(
+    fn linearise_in<F: Borrow<Followed>>(
         &self,
         x: &[f64],
-        here: &[&Followed],
+        here: &[F],
         factors: &[usize],
     ) -> Result<Linear, SysidError> {
         let windows = self.windows();
         let placed = place(&self.problem, &windows, x);
-        let states: Vec<State> = here.iter().map(|f| f.state.clone()).collect();
+        let states: Vec<State> = here.iter().map(|f| f.borrow().state.clone()).collect();
         let directions = self.directions(x, &states)?;
         let (mut contacts, mut found) = (Contacts::new(), BTreeMap::new());
         let free = self.problem.free_values(x);
@@ -141,7 +146,7 @@ impl Windows {
                 let by_state = DMatrix::from_fn(placed[w].len(), n_state, at);
                 let by_parameter = |i: usize, j: usize| at(i, 2 * n_state + j);
                 let parameters = DMatrix::from_fn(placed[w].len(), x.len(), by_parameter);
-                let row = self.row((w, here[w], &free), by_state, parameters);
+                let row = self.row((w, here[w].borrow(), &free), by_state, parameters);
                 found.insert(
                     w,
                     Row {

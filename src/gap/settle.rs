@@ -33,6 +33,9 @@ const FIRST_DAMPING: f64 = 1e-6;
 const LEAST_DAMPING: f64 = 1e-9;
 const MOST_DAMPING: f64 = 1e2;
 
+/// Whether going on is no use where windows are, some of which are left.
+type InVain<'a> = &'a dyn Fn(&[Followed], &[usize]) -> bool;
+
 impl Windows {
     /// Brings the windows `here`, at parameters `x`, nearer to what their first states allow; `linear` is of a near
     /// point. Windows that the engine refuses to follow stay where they are, and all do once those that stay anyway cost `bound`.
@@ -49,10 +52,11 @@ impl Windows {
             })
             .collect();
         let bound = bound - self.problem.parameters.prior_cost(x);
+        let is_lost = |f: &Followed| f.cost > LOST * mean;
         // what is left or lost may get better by all that it costs
         let in_vain = |here: &[Followed], left: &[usize]| {
-            let stay = (here.iter().enumerate())
-                .filter(|(w, f)| f.cost <= LOST * mean && !left.contains(w));
+            let each = here.iter().enumerate();
+            let stay = each.filter(|(w, f)| !is_lost(f) && !left.contains(w));
             stay.map(|(_, f)| f.cost).sum::<f64>() >= bound
         };
         if left.is_empty() || in_vain(here, &left) {
@@ -75,19 +79,23 @@ impl Windows {
                 }
             }
         }
-        held.approach(here, left, enough, in_vain);
+        held.approach(here, left, enough, &in_vain);
         if in_vain(here, &[]) {
             return;
         }
-        let lost: Vec<usize> = (0..here.len())
-            .filter(|&w| here[w].cost > LOST * mean)
-            .collect();
-        held.begin_again(here, &lost, enough);
+        let lost: Vec<usize> = (0..here.len()).filter(|&w| is_lost(&here[w])).collect();
+        held.begin_again(here, &lost, enough, &in_vain);
     }
 
     /// Looks for the first states of the windows `lost` once more, from those that were measured calmly, however far off these
     /// are: what ends at a joint's limit is nearer than what is on its way, and leads nowhere.
-    fn begin_again(&mut self, here: &mut [Followed], lost: &[usize], enough: f64) {
+    fn begin_again(
+        &mut self,
+        here: &mut [Followed],
+        lost: &[usize],
+        enough: f64,
+        in_vain: InVain<'_>,
+    ) {
         if lost.is_empty() {
             return;
         }
@@ -99,7 +107,7 @@ impl Windows {
             .filter_map(|(&w, found)| Some((w, mem::replace(&mut here[w], found?))))
             .collect();
         let left = before.iter().map(|b| b.0).collect();
-        self.approach(here, left, enough, |_, _| false);
+        self.approach(here, left, enough, in_vain);
         for (w, before) in before {
             let nearer = here[w].cost < before.cost;
             if !nearer {
@@ -115,7 +123,7 @@ impl Windows {
         here: &mut [Followed],
         mut left: Vec<usize>,
         enough: f64,
-        in_vain: impl Fn(&[Followed], &[usize]) -> bool,
+        in_vain: InVain<'_>,
     ) {
         self.states = here.iter().map(|f| f.state.clone()).collect();
         let mut damping = vec![FIRST_DAMPING; here.len()];
@@ -217,9 +225,9 @@ mod tests {
                 .sum();
             let stay = others + windows.problem.parameters.prior_cost(x);
             let settled = |bound: f64| {
-                let mut windows_here = here.clone();
-                windows.settle(x, &mut windows_here, &linear, bound);
-                windows_here[WINDOW].cost
+                let mut here = here.clone();
+                windows.settle(x, &mut here, &linear, bound);
+                here[WINDOW].cost
             };
             let lost = here[WINDOW].cost;
             assert_eq!(settled(0.9 * stay), lost);

@@ -23,6 +23,8 @@ const FIRM: &str = "0.99 0.99 0.001";
 /// What tells friction that differs with direction from an offset.
 pub(super) const UNLOADED: &str = "the same motions with the joint's friction gone, oiled or unloaded: \
      an offset stays, and beside friction nothing tells";
+/// Where the numbers of friction that changes have [`LEVEL`].
+const AT: usize = 1;
 const LEVEL: Parameter = Parameter::companion("level", Dimension::Force, [0.02, 0.5]);
 
 /// A dry joint's attributes with `level` more friction, and the number it is; friction that is beside it changes by `extra`, N m or N.
@@ -72,22 +74,22 @@ fn dry(site: &Site<'_>, level: f64, extra: f64) -> Result<(Vec<Change>, Number),
     Ok((changes, number))
 }
 
-/// A supplement of friction whose level changes by `extra`; the level is value number `at`, the others are the supplement's.
+/// A supplement of friction whose level changes by `extra`; value number [`AT`] is the level, the others are the supplement's.
 fn changing(
     kind: &'static str,
     site: &Site<'_>,
-    (values, at): (&[f64], usize),
+    values: &[f64],
     extra: f64,
 ) -> Result<Expression, String> {
-    let (changes, number) = dry(site, values[at], extra)?;
+    let (changes, number) = dry(site, values[AT], extra)?;
     let own: Vec<f64> = values
         .iter()
         .enumerate()
-        .filter(|(i, _)| *i != at)
+        .filter(|(i, _)| *i != AT)
         .map(|(_, v)| *v)
         .collect();
     let mut numbers: Vec<Number> = (0..own.len()).map(Number::Custom).collect();
-    numbers.insert(at, number);
+    numbers.insert(AT, number);
     let supplement = Some((kind, site.place.name.clone(), own));
     Ok(Expression {
         changes,
@@ -188,7 +190,7 @@ impl Effect for Asymmetric {
     }
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        changing("asymmetric_friction", site, (values, 1), values[0])
+        changing("asymmetric_friction", site, values, values[0])
     }
 
     fn in_dry_joints(&self) -> Option<(&'static str, f64)> {
@@ -236,7 +238,7 @@ impl Effect for Stribeck {
     }
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        changing("stribeck_friction", site, (values, 1), values[0])
+        changing("stribeck_friction", site, values, values[0])
     }
 }
 
@@ -281,8 +283,12 @@ impl Effect for LoadDependent {
     }
 
     fn express(&self, site: &Site<'_>, values: &[f64]) -> Result<Expression, String> {
-        let extra = LEAST_LOAD * values[0];
-        changing("load_dependent_friction", site, (values, 1), extra)
+        changing(
+            "load_dependent_friction",
+            site,
+            values,
+            LEAST_LOAD * values[0],
+        )
     }
 }
 
