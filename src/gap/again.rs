@@ -175,7 +175,7 @@ mod tests {
         dragged(DRAG, |law, search, Screen { linear, .. }| {
             let (look, parameters) = (search.look(), &search.windows.problem.parameters);
             let prior: Vec<_> = parameters.prior_slopes(&search.x).collect();
-            let absorb = Absorb::new(&information(&linear, 1), parameters, &search.x);
+            let absorb = Absorb::new(&information(&linear.rows, 1), parameters, &search.x);
             let (at, all) = ((&linear, &absorb), [(law.effect, law.place.clone())]);
             let mut taken = vec![DRAG; 16];
             taken.push(FIRST);

@@ -12,7 +12,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::followed::Followed;
-use super::linear::{LEAST_INFORMATION, Linear, damped};
+use super::linear::{LEAST_INFORMATION, Linear, Row, damped};
 use super::windows::Windows;
 use crate::sysid::SysidError;
 use crate::sysid::box_qp::solve_in_box;
@@ -85,7 +85,7 @@ impl Windows {
                 known
             } else {
                 let found = self.linearise_at(&x, &here)?;
-                let normal = information(&found, x.len());
+                let normal = information(&found.rows, x.len());
                 (found, normal)
             };
             let step = self.step(&derivatives, &normal, &x, &here);
@@ -323,9 +323,9 @@ struct Taken {
 }
 
 /// Σ J̃ᵀJ̃.
-pub(super) fn information(linear: &Linear, np: usize) -> DMatrix<f64> {
+pub(super) fn information(rows: &[Row], np: usize) -> DMatrix<f64> {
     let mut normal = DMatrix::zeros(np, np);
-    for row in &linear.rows {
+    for row in rows {
         normal.gemm_tr(1.0, &row.parameters, &row.parameters, 1.0);
     }
     normal

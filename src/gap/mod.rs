@@ -23,6 +23,7 @@ mod decoy;
 pub mod diff;
 pub mod effect;
 mod elsewhere;
+mod even;
 mod evidence;
 pub mod figures;
 mod fit;

@@ -14,6 +14,7 @@ use nalgebra::DVector;
 
 use super::alike::Rival;
 use super::effect::{Form, Role, Sign, named};
+use super::even::Evened;
 use super::evidence::Evidence;
 use super::lookalike::InPlace;
 use super::model::Chosen;
@@ -27,9 +28,10 @@ use crate::sysid::student::two_sided_t;
 pub(super) const APART: f64 = 9.0;
 
 /// Names every effect in the model of `search`. `screen` is of that model, `step` what its own step makes of every free
-/// parameter.
+/// parameter. Numbers are those of `evened`, with intervals that span what both fits say.
 pub(super) fn name(
     search: &Search<'_>,
+    evened: Option<&Evened>,
     screen: &Screen,
     step: Option<&DVector<f64>>,
 ) -> Vec<Named> {
@@ -40,22 +42,29 @@ pub(super) fn name(
         let scales = search
             .measured
             .scales(&search.built.file.model, &chosen.place);
+        let even = evened.map(|own| (&own.chosen[i], &own.normal));
+        let fits = || [Some((chosen, &screen.normal)), even].into_iter().flatten();
         let mut parameters = Vec::new();
         for (p, parameter) in about.parameters.iter().enumerate() {
-            let value = chosen.values[p];
+            let value = even.map_or(chosen, |own| own.0).values[p];
             let number = free.iter().find(|f| f.1 == i && f.2 == p);
             let ci95 = number.map(|(j, _, _, slope)| {
-                let (sigma, dof) = screen.normal.fitted(*j);
-                let sigma = sigma * slope.abs();
                 let by_step = step.map_or(0.0, |dx| (dx[*j] * slope).abs());
-                let half = two_sided_t(0.95, dof.max(1.0)) * sigma + by_step;
+                let each = fits().map(|(own, normal)| {
+                    let (sigma, dof) = normal.fitted(*j);
+                    let half = two_sided_t(0.95, dof.max(1.0)) * sigma * slope.abs() + by_step;
+                    [own.values[p] - half, own.values[p] + half]
+                });
+                let [low, high] = each
+                    .reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+                    .unwrap_or([value; 2]);
                 let [least, most] = match (parameter.role, parameter.sign) {
                     // nothing beyond was looked at: wider, it is not determined
                     (Role::Shape(_), _) => parameter.sensible(&scales),
                     (_, Sign::Positive) => [0.0, f64::INFINITY],
                     _ => [f64::NEG_INFINITY, f64::INFINITY],
                 };
-                [(value - half).max(least), (value + half).min(most)]
+                [low.max(least), high.min(most)]
             });
             if parameter.role == Role::Companion {
                 continue;

@@ -196,7 +196,7 @@ mod tests {
             found(search, &[of(own)], watch);
             search.evidence[0].alike = vec![Rival::of(&of(other), 1.0)];
             let screen = search.screened(watch).expect("screened");
-            let effects = name::name(search, &screen, None);
+            let effects = name::name(search, None, &screen, None);
             let next = experiment(search, &screen, (&effects, &[]), watch);
             told = next.expect("simulated");
         });

@@ -303,7 +303,12 @@ pub(super) fn at_length(
     };
     watch.stage(Stage::Name);
     let step = without.map(|own| own.error(&screen.normal));
-    let mut effects = name::name(&search, screen, step.as_ref());
+    let evened = if search.chosen.is_empty() {
+        None
+    } else {
+        Some(search.evened(&screen.linear))
+    };
+    let mut effects = name::name(&search, evened.as_ref(), screen, step.as_ref());
     for (effect, decoys) in effects.iter_mut().zip(search.decoys()?) {
         effect.decoys = decoys;
     }
@@ -315,6 +320,9 @@ pub(super) fn at_length(
     let untestable = untestable::untestable(&search, screen);
     let much = left::much(&remaining);
     let rest = left::left(&last, much);
+    if let Some(evened) = evened {
+        search.take_numbers(evened);
+    }
     watch.stage(Stage::Verify);
     let round_trip = if effects.is_empty() {
         None

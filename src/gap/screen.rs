@@ -419,7 +419,7 @@ pub(super) fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
 /// Σ J̃ᵀJ̃ of the parameters with their priors, and the gradient of the cost.
 fn with_priors(linear: &Linear, prior: &[(f64, f64)]) -> (DMatrix<f64>, DVector<f64>) {
     let np = prior.len();
-    let (mut normal, mut gradient) = (information(linear, np), DVector::zeros(np));
+    let (mut normal, mut gradient) = (information(&linear.rows, np), DVector::zeros(np));
     for row in &linear.rows {
         gradient.gemv_tr(1.0, &row.parameters, &row.residual, 1.0);
     }

@@ -77,7 +77,7 @@ impl WithoutSteps<'_> {
     /// What the cost is more than with steps, `parameters` at `x` but those `at_rest` and first states fitted to that: two
     /// models are told apart by it where steps of h do what one of them is about, as a drive that is late.
     pub(super) fn cost(&self, parameters: &Parameters, x: &[f64], at_rest: &[usize]) -> f64 {
-        let normal = information(self.linear, x.len());
+        let normal = information(&self.linear.rows, x.len());
         let rows = || self.linear.rows.iter();
         let with = rows().map(|row| row.residual.clone());
         let without = (rows().zip(&self.changes))

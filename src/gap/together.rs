@@ -237,7 +237,7 @@ mod tests {
         searching_hammered(&base, (&hidden.file, 3.0), config, |search, _| {
             assert!(search.windows.factors.iter().all(|f| *f > 1));
             let linear = search.windows.linearise(&search.x).expect("linear");
-            let normal = information(&linear, search.x.len());
+            let normal = information(&linear.rows, search.x.len());
             let absorb = Absorb::new(&normal, &search.windows.problem.parameters, &search.x);
             let ask = Ask {
                 effect: law.effect,
