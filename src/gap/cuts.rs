@@ -204,10 +204,7 @@ impl Search<'_> {
     fn cut(&self, cuts: &Cuts, length_s: f64) -> Result<Windows, GapError> {
         let mut windows = cuts.train(length_s)?;
         windows.problem = self.built.problem(&windows.problem)?;
-        let channels = windows.problem.channels.iter_mut();
-        for (channel, own) in channels.zip(&self.windows.problem.channels) {
-            channel.sigma = own.sigma;
-        }
+        windows.problem.take_sigma(&self.windows.problem.sigma());
         Ok(windows)
     }
 }

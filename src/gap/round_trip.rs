@@ -47,9 +47,7 @@ pub(super) fn round_trip(
         return Ok(None);
     };
     windows.have_recorded(&followed);
-    for (channel, noise) in windows.problem.channels.iter_mut().zip(&search.noise) {
-        channel.sigma = *noise;
-    }
+    windows.problem.take_sigma(&search.noise);
     for (w, (trial, followed)) in (windows.problem.trials.iter_mut().zip(&followed)).enumerate() {
         let mut rng = rng::stream(seed, Purpose::SensorNoise, u64::MAX, w as u64);
         let samples = Arc::make_mut(&mut trial.samples);

@@ -164,9 +164,7 @@ impl Fit {
             .collect();
         windows.trajectories = self.trajectories;
         windows.factors = self.factors;
-        for (channel, sigma) in windows.problem.channels.iter_mut().zip(self.sigma) {
-            channel.sigma = sigma;
-        }
+        windows.problem.take_sigma(&self.sigma);
         Some((self.x, self.cost))
     }
 }

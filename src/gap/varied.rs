@@ -45,11 +45,10 @@ impl Search<'_> {
             let mut there = self.settled_with(dry.fit.clone(), watch)?;
             there.effects.clone_from(&varieties);
             let mut other = best.fit.clone();
-            for (channel, own) in
-                (other.windows.problem.channels.iter_mut()).zip(&there.windows.problem.channels)
-            {
-                channel.sigma = own.sigma;
-            }
+            other
+                .windows
+                .problem
+                .take_sigma(&there.windows.problem.sigma());
             other.improve(&there, watch)?;
             let price = alike::price(other.cost, &other.x);
             let screen = there.screened(watch)?;

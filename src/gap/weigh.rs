@@ -62,7 +62,7 @@ impl Windows {
         let mut fitted = fit(self, x, ROUGH_ITERATIONS)?;
         let mut weights = self.weights(&fitted.x, noise)?;
         for _ in 0..WEIGHINGS {
-            let near = self.take_weights(weights) < FAR;
+            let near = self.take_weights(&weights) < FAR;
             let most = if near { iterations } else { ROUGH_ITERATIONS };
             fitted = fit(self, &fitted.x, most)?;
             weights = self.weights(&fitted.x, noise)?;
@@ -113,15 +113,13 @@ impl Windows {
     /// The engine refuses a number.
     pub(super) fn weigh(&mut self, x: &[f64], noise: &[f64]) -> Result<f64, SysidError> {
         let weights = self.weights(x, noise)?;
-        Ok(self.take_weights(weights))
+        Ok(self.take_weights(&weights))
     }
 
     /// Gives the channels these weights; how they change.
-    fn take_weights(&mut self, weights: Weights) -> f64 {
-        let change = self.change(&weights);
-        for (channel, sigma) in self.problem.channels.iter_mut().zip(weights.sigma) {
-            channel.sigma = sigma;
-        }
+    fn take_weights(&mut self, weights: &Weights) -> f64 {
+        let change = self.change(weights);
+        self.problem.take_sigma(&weights.sigma);
         change
     }
 
@@ -263,9 +261,7 @@ mod tests {
                 assert!((of_base > HARDLY) == friction.is_empty(), "{of_base}");
                 // and one that explains all by the rotor
                 let (mut windows, noise) = (search.windows.clone(), search.noise.clone());
-                for (channel, noise) in windows.problem.channels.iter_mut().zip(&noise) {
-                    channel.sigma = *noise;
-                }
+                windows.problem.take_sigma(&noise);
                 let fit = |windows: &mut Windows, x: &[f64]| windows.fit(x, 20, &mut |_| true);
                 let explained = windows.fit_weighed((&search.x, &noise), 20, |w, x, _| fit(w, x));
                 let explained = explained.expect("a fit");

@@ -196,6 +196,13 @@ impl Problem {
         self.channels.iter().map(|c| c.sigma).collect()
     }
 
+    /// Takes a standard deviation for every channel.
+    pub(crate) fn take_sigma(&mut self, sigma: &[f64]) {
+        for (channel, sigma) in self.channels.iter_mut().zip(sigma) {
+            channel.sigma = *sigma;
+        }
+    }
+
     /// Binds recordings to a model. `names` has one name a recording.
     ///
     /// # Errors
