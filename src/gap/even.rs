@@ -9,14 +9,18 @@
 //! ```
 //!
 //! with r̃ and J̃ of [`super::linear`] at the fit, σ = 1, until dx stays as it is: it is a small part of what parameters are known
-//! to. No window weighs more than the median one, as where nothing moves nothing is left, whatever numbers are. Which weights
-//! are right the data do not say, so that intervals span those of both fits.
+//! to. No window weighs more than the median one, as where nothing moves nothing is left, whatever numbers are.
+//!
+//! Where much is left everywhere, all numbers stand for something else besides, and those of most windows predict the rest worse. So
+//! these are taken where held-out recordings cost no more with them. Intervals span those of both fits all the same.
 //!
 //! Reference: Greene 2012, "Econometric Analysis", section 9.7 (feasible generalised least squares, groups of unlike variance).
 
 use nalgebra::DVector;
 
+use super::GapError;
 use super::fit::{information, solved};
+use super::held_out::falls;
 use super::linear::{Linear, Row};
 use super::model::Chosen;
 use super::score::Normal;
@@ -33,12 +37,17 @@ pub(super) struct Evened {
     pub chosen: Vec<Chosen>,
     /// sums of products of parameters
     pub normal: Normal,
+    /// whether held-out recordings cost no more with these numbers
+    pub predicts: bool,
     x: Vec<f64>,
 }
 
 impl Search<'_> {
     /// The numbers of the present model, `linear` being at them, with windows weighed by what is left of each.
-    pub(super) fn evened(&self, linear: &Linear) -> Evened {
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn evened(&self, linear: &Linear) -> Result<Evened, GapError> {
         let problem = &self.windows.problem;
         let parameters = &problem.parameters;
         let mut x = self.x.clone();
@@ -60,16 +69,21 @@ impl Search<'_> {
             }
         }
         let prior: Vec<(f64, f64)> = parameters.prior_slopes(&x).collect();
-        Evened {
+        let before = self.held(self.at_hand(), 0.0)?;
+        let after = self.held((&self.built, &self.windows, &x), 0.0)?;
+        Ok(Evened {
             chosen: self.built.values(problem, &x, &self.chosen),
             normal: Normal::new(&rows, &[], &self.stretch_of, &prior),
+            predicts: falls(before.as_ref(), after.as_ref(), |_| 0.0),
             x,
-        }
+        })
     }
 
-    /// Takes numbers of the same model.
+    /// Takes numbers of the same model if they predict.
     pub(super) fn take_numbers(&mut self, of: Evened) {
-        (self.chosen, self.x) = (of.chosen, of.x);
+        if of.predicts {
+            (self.chosen, self.x) = (of.chosen, of.x);
+        }
     }
 }
 
@@ -108,19 +122,27 @@ mod tests {
         let hidden = machine(&format!(r#"damping="{DAMPING}""#), r#"damping=".2""#);
         let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
         searching(&base, &hidden, config, |search, watch| {
+            let sound = search.windows.clone();
             for w in [3, 4] {
                 for sample in Arc::make_mut(&mut search.windows.problem.trials[w].samples) {
                     sample.value += OFF_M * (30.0 * sample.time).sin();
                 }
             }
+            let spoilt = search.windows.clone();
             let damping = chosen(&base, "viscous_friction", "a", &[DAMPING]);
             found(search, &[damping], watch);
             search.settle(watch).expect("settled");
             let linear = search.windows.linearise(&search.x).expect("linear");
-            let evened = search.evened(&linear);
+            let evened = search.evened(&linear).expect("held out");
             let off = |values: &[f64]| (values[0] / DAMPING - 1.0).abs();
             let [alike, even] = [&search.chosen, &evened.chosen].map(|own| off(&own[0].values));
             assert!(even < 0.2 * alike, "{even} {alike}");
+            // and are taken unless others predict more of what was held out
+            for (held_out, predicts) in [(sound, true), (spoilt, false)] {
+                search.held_out = Some(held_out);
+                let evened = search.evened(&linear).expect("held out");
+                assert_eq!(evened.predicts, predicts);
+            }
         });
     }
 }

@@ -28,7 +28,7 @@ use crate::sysid::student::two_sided_t;
 pub(super) const APART: f64 = 9.0;
 
 /// Names every effect in the model of `search`. `screen` is of that model, `step` what its own step makes of every free
-/// parameter. Numbers are those of `evened`, with intervals that span what both fits say.
+/// parameter. Numbers are those of `evened` if these predict, with intervals that span what both fits say.
 pub(super) fn name(
     search: &Search<'_>,
     evened: Option<&Evened>,
@@ -36,6 +36,10 @@ pub(super) fn name(
     step: Option<&DVector<f64>>,
 ) -> Vec<Named> {
     let free = search.built.free(&search.windows.problem);
+    let numbers = match evened {
+        Some(own) if own.predicts => &own.chosen,
+        _ => &search.chosen,
+    };
     let mut out = Vec::new();
     for (i, chosen) in search.chosen.iter().enumerate() {
         let about = chosen.effect.about();
@@ -46,7 +50,7 @@ pub(super) fn name(
         let fits = || [Some((chosen, &screen.normal)), even].into_iter().flatten();
         let mut parameters = Vec::new();
         for (p, parameter) in about.parameters.iter().enumerate() {
-            let value = even.map_or(chosen, |own| own.0).values[p];
+            let value = numbers[i].values[p];
             let number = free.iter().find(|f| f.1 == i && f.2 == p);
             let ci95 = number.map(|(j, _, _, slope)| {
                 let by_step = step.map_or(0.0, |dx| (dx[*j] * slope).abs());

@@ -306,7 +306,7 @@ pub(super) fn at_length(
     let evened = if search.chosen.is_empty() {
         None
     } else {
-        Some(search.evened(&screen.linear))
+        Some(search.evened(&screen.linear)?)
     };
     let mut effects = name::name(&search, evened.as_ref(), screen, step.as_ref());
     for (effect, decoys) in effects.iter_mut().zip(search.decoys()?) {
