@@ -31,7 +31,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::effect::{Effect, Place, are_neighbours, named};
-use super::fitted::Fitted;
+use super::fitted::{AtHand, Fitted};
 use super::held_out::falls;
 use super::model::{Built, Chosen};
 use super::name::APART;
@@ -265,11 +265,18 @@ impl Search<'_> {
         (part > 1.0 - CLEARLY).then_some(part)
     }
 
-    /// Whether a fitted model costs less than the present one where neither was fitted.
-    fn is_less_held_out(&self, fitted: &Fitted) -> Result<bool, GapError> {
-        let recorded_s = self.recorded_s(&fitted.chosen);
+    /// Whether another model, or other numbers, cost less than the present ones where neither were fitted; `recorded_s` as of
+    /// [`Search::held`].
+    ///
+    /// # Errors
+    /// The engine refuses a number.
+    pub(super) fn is_less_held_out(
+        &self,
+        other: AtHand<'_>,
+        recorded_s: f64,
+    ) -> Result<bool, GapError> {
         let before = self.held(self.at_hand(), recorded_s)?;
-        let after = self.held(fitted.at_hand(), recorded_s)?;
+        let after = self.held(other, recorded_s)?;
         Ok(falls(before.as_ref(), after.as_ref(), |_| 0.0))
     }
 
@@ -346,7 +353,9 @@ impl Search<'_> {
                 let (own, other) = ((&own, &self.x[..]), (&costs, &fitted.x[..]));
                 let back = separation(own, other, fitted.cost);
                 // what held-out recordings do not tell apart is alike
-                if back >= APART && !self.absurd(&fitted) && self.is_less_held_out(&fitted)? {
+                let is_less =
+                    || self.is_less_held_out(fitted.at_hand(), self.recorded_s(&fitted.chosen));
+                if back >= APART && !self.absurd(&fitted) && is_less()? {
                     *self = self.settled_with(fitted, watch)?;
                     (own_steps, exchanged) = (None, true);
                 } else {

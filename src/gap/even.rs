@@ -19,8 +19,7 @@
 use nalgebra::DVector;
 
 use super::GapError;
-use super::fit::{information, solved};
-use super::held_out::falls;
+use super::fit::{gradient, information, solved};
 use super::linear::{Linear, Row};
 use super::model::Chosen;
 use super::score::Normal;
@@ -55,10 +54,8 @@ impl Search<'_> {
         let mut rows = evened(&linear.rows, &dx);
         for _ in 0..ROUNDS {
             let normal = information(&rows, x.len());
-            let mut right = DVector::zeros(x.len());
-            for row in &rows {
-                right.gemv_tr(-1.0, &row.parameters, &row.residual, 1.0);
-            }
+            let left = rows.iter().map(|row| &row.residual);
+            let right = -gradient(&rows, left, x.len());
             let (step, to) = solved(parameters, &x, &normal, right, &[]);
             let far = step.dot(&(normal * &step));
             x = to;
@@ -68,13 +65,10 @@ impl Search<'_> {
                 break;
             }
         }
-        let prior: Vec<(f64, f64)> = parameters.prior_slopes(&x).collect();
-        let before = self.held(self.at_hand(), 0.0)?;
-        let after = self.held((&self.built, &self.windows, &x), 0.0)?;
         Ok(Evened {
             chosen: self.built.values(problem, &x, &self.chosen),
-            normal: Normal::new(&rows, &[], &self.stretch_of, &prior),
-            predicts: falls(before.as_ref(), after.as_ref(), |_| 0.0),
+            normal: self.normal_of(&rows, &x),
+            predicts: self.is_less_held_out((&self.built, &self.windows, &x), 0.0)?,
             x,
         })
     }

@@ -331,6 +331,19 @@ pub(super) fn information(rows: &[Row], np: usize) -> DMatrix<f64> {
     normal
 }
 
+/// Σ J̃ᵀ r of what each window has in `parts`.
+pub(super) fn gradient<'a>(
+    rows: &[Row],
+    parts: impl IntoIterator<Item = &'a DVector<f64>>,
+    np: usize,
+) -> DVector<f64> {
+    let mut gradient = DVector::zeros(np);
+    for (row, part) in rows.iter().zip(parts) {
+        gradient.gemv_tr(1.0, &row.parameters, part, 1.0);
+    }
+    gradient
+}
+
 /// dx of the parameters within their bounds, and where it leads; those `at_rest` stay. `normal` is Σ J̃ᵀJ̃, `right` −Σ J̃ᵀ r̃.
 pub(super) fn solved(
     parameters: &Parameters,

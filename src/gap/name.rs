@@ -19,6 +19,7 @@ use super::evidence::Evidence;
 use super::lookalike::InPlace;
 use super::model::Chosen;
 use super::result::{Experiment, Named, Untestable, Value, Where};
+use super::score::Normal;
 use super::screen::Screen;
 use super::search::Search;
 use super::untestable::UNSHOWN;
@@ -47,21 +48,22 @@ pub(super) fn name(
             .measured
             .scales(&search.built.file.model, &chosen.place);
         let even = evened.map(|own| (&own.chosen[i], &own.normal));
-        let fits = || [Some((chosen, &screen.normal)), even].into_iter().flatten();
         let mut parameters = Vec::new();
         for (p, parameter) in about.parameters.iter().enumerate() {
             let value = numbers[i].values[p];
             let number = free.iter().find(|f| f.1 == i && f.2 == p);
             let ci95 = number.map(|(j, _, _, slope)| {
                 let by_step = step.map_or(0.0, |dx| (dx[*j] * slope).abs());
-                let each = fits().map(|(own, normal)| {
+                let span = |own: &Chosen, normal: &Normal| {
                     let (sigma, dof) = normal.fitted(*j);
                     let half = two_sided_t(0.95, dof.max(1.0)) * sigma * slope.abs() + by_step;
                     [own.values[p] - half, own.values[p] + half]
-                });
-                let [low, high] = each
-                    .reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
-                    .unwrap_or([value; 2]);
+                };
+                let [mut low, mut high] = span(chosen, &screen.normal);
+                if let Some((own, normal)) = even {
+                    let other = span(own, normal);
+                    (low, high) = (low.min(other[0]), high.max(other[1]));
+                }
                 let [least, most] = match (parameter.role, parameter.sign) {
                     // nothing beyond was looked at: wider, it is not determined
                     (Role::Shape(_), _) => parameter.sensible(&scales),

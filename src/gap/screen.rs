@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::GapError;
 use super::absorb::Absorb;
 use super::effect::{self, Effect, ModelFile, Place};
-use super::fit::information;
+use super::fit::{gradient, information};
 use super::inputs::is_wanted;
 use super::linear::{Column, Linear};
 use super::model::{Built, Chosen, Measured, Variant, variants};
@@ -419,10 +419,9 @@ pub(super) fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
 /// Σ J̃ᵀJ̃ of the parameters with their priors, and the gradient of the cost.
 fn with_priors(linear: &Linear, prior: &[(f64, f64)]) -> (DMatrix<f64>, DVector<f64>) {
     let np = prior.len();
-    let (mut normal, mut gradient) = (information(&linear.rows, np), DVector::zeros(np));
-    for row in &linear.rows {
-        gradient.gemv_tr(1.0, &row.parameters, &row.residual, 1.0);
-    }
+    let mut normal = information(&linear.rows, np);
+    let residuals = linear.rows.iter().map(|row| &row.residual);
+    let mut gradient = gradient(&linear.rows, residuals, np);
     for (j, (precision, own)) in prior.iter().enumerate() {
         normal[(j, j)] += precision;
         gradient[j] += own;

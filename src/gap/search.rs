@@ -14,7 +14,7 @@ use nalgebra::DVector;
 use super::effect::{ModelFile, Place};
 use super::evidence::Evidence;
 use super::fitted::{AtHand, Fitted};
-use super::linear::Linear;
+use super::linear::{Linear, Row};
 use super::model::{Built, Chosen, Measured};
 use super::score;
 use super::screen::{Candidate, Look, Screen};
@@ -223,9 +223,13 @@ impl<'a> Search<'a> {
 
     /// Sums of products of parameters alone, `linear` being at the present point.
     pub(super) fn normal(&self, linear: &Linear) -> score::Normal {
-        let prior: Vec<(f64, f64)> =
-            (self.windows.problem.parameters.prior_slopes(&self.x)).collect();
-        score::Normal::new(&linear.rows, &[], &self.stretch_of, &prior)
+        self.normal_of(&linear.rows, &self.x)
+    }
+
+    /// The same of rows at `x`.
+    pub(super) fn normal_of(&self, rows: &[Row], x: &[f64]) -> score::Normal {
+        let prior: Vec<(f64, f64)> = (self.windows.problem.parameters.prior_slopes(x)).collect();
+        score::Normal::new(rows, &[], &self.stretch_of, &prior)
     }
 
     /// Square that the sensors' noise gives a residual of a channel.

@@ -14,7 +14,7 @@
 use nalgebra::DVector;
 
 use super::coarse::Paced;
-use super::fit::{information, solved};
+use super::fit::{gradient, information, solved};
 use super::linear::Linear;
 use super::score::Normal;
 use super::windows::Windows;
@@ -66,12 +66,8 @@ impl WithoutSteps<'_> {
     pub(super) fn error(&self, normal: &Normal) -> DVector<f64> {
         let rows = &self.linear.rows;
         let np = rows.first().map_or(0, |row| row.parameters.ncols());
-        let mut along = DVector::zeros(np);
-        for (row, change) in rows.iter().zip(&self.changes) {
-            // J̃ has nothing of what first states do
-            along.gemv_tr(-1.0, &row.parameters, change, 1.0);
-        }
-        normal.solve(&along)
+        // J̃ has nothing of what first states do
+        normal.solve(&-gradient(rows, &self.changes, np))
     }
 
     /// What the cost is more than with steps, `parameters` at `x` but those `at_rest` and first states fitted to that: two
@@ -84,10 +80,7 @@ impl WithoutSteps<'_> {
             .map(|(row, change)| &row.residual + change - &row.basis * row.basis.tr_mul(change));
         // a fit that could go on would otherwise go on for one of them
         let least = |residuals: Vec<DVector<f64>>| {
-            let mut right = DVector::zeros(x.len());
-            for (row, residual) in rows().zip(&residuals) {
-                right.gemv_tr(-1.0, &row.parameters, residual, 1.0);
-            }
+            let right = -gradient(&self.linear.rows, &residuals, x.len());
             let (dx, to) = solved(parameters, x, &normal, right, at_rest);
             let squares = (rows().zip(residuals))
                 .map(|(row, residual)| (residual + &row.parameters * &dx).norm_squared());
