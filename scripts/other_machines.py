@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Machines of other kinds than this repository's, with one law hidden, made by MuJoCo's Python package and searched.
+"""Machines of other kinds than this repository's, with a law or several hidden, made by MuJoCo's Python package and searched.
 
     .venv-crosscheck/bin/python scripts/other_machines.py OUT [CASE ...]
 
@@ -89,6 +89,10 @@ class Pendulum:
         "dry": (lambda d: dry(0.01, d.qvel), [("coulomb_friction", "pivot")]),
         "air": (lambda d: -0.002 * np.abs(d.qvel) * d.qvel, [("quadratic_drag", "pivot")]),
         "spring": (lambda d: -0.08 * d.qpos, [("joint_spring", "pivot")]),
+        "worn": (
+            lambda d: dry(0.01, d.qvel) - 0.002 * np.abs(d.qvel) * d.qvel,
+            [("coulomb_friction", "pivot"), ("quadratic_drag", "pivot")],
+        ),
     }
 
     def xml(self, machine):
@@ -111,6 +115,10 @@ class Cart:
         "none": (lambda d: 0, []),
         "dry": (lambda d: [dry(0.8, d.qvel[0]), 0], [("coulomb_friction", "slide")]),
         "offset": (lambda d: [0.3, 0], [("torque_offset", "slide")]),
+        "worn": (
+            lambda d: [dry(0.8, d.qvel[0]) - 2 * d.qpos[0], 0],
+            [("coulomb_friction", "slide"), ("joint_spring", "slide")],
+        ),
     }
 
     def xml(self, machine):
@@ -136,6 +144,10 @@ class Furuta:
         "none": (lambda d: 0, []),
         "cable": (lambda d: [-0.004 * d.qpos[0], 0], [("joint_spring", "arm")]),
         "dry": (lambda d: [dry(0.0025, d.qvel[0], 0.05), 0], [("coulomb_friction", "arm")]),
+        "worn": (
+            lambda d: [dry(0.0025 + 0.002 * np.exp(-((d.qvel[0] / 0.4) ** 2)), d.qvel[0], 0.05) - 0.004 * d.qpos[0], 0],
+            [("coulomb_friction", "arm"), ("joint_spring", "arm"), ("stribeck_friction", "arm")],
+        ),
     }
 
     def xml(self, machine):
@@ -164,6 +176,10 @@ class Arm:
         "none": (lambda d: 0, []),
         "dry": (lambda d: dry(Arm.levels, d.qvel, 5e-3), [("coulomb_friction", f"j{i}") for i in range(1, 7)]),
         "gain": (lambda d: [0, 0, -0.12 * d.ctrl[2], 0, 0, 0], [("torque_gain", "m3")]),
+        "worn": (
+            lambda d: dry(Arm.levels, d.qvel, 5e-3) - 0.12 * d.ctrl * (np.arange(6) == 2),
+            [*[("coulomb_friction", f"j{i}") for i in range(1, 7)], ("torque_gain", "m3")],
+        ),
     }
     lengths, masses = [0.12, 0.3, 0.28, 0.1, 0.09, 0.06], [3.0, 4.5, 2.8, 1.3, 1.0, 0.4]
     axes = ["0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1"]
@@ -199,6 +215,10 @@ class DoublePendulum:
         "none": (lambda d: 0, []),
         "viscous": (lambda d: -np.array([8e-4, 3e-4]) * d.qvel, [("viscous_friction", "j1"), ("viscous_friction", "j2")]),
         "dry": (lambda d: dry([2e-3, 1e-3], d.qvel), [("coulomb_friction", "j1"), ("coulomb_friction", "j2")]),
+        "worn": (
+            lambda d: dry([2e-3, 1e-3], d.qvel) - np.array([8e-4, 3e-4]) * d.qvel,
+            [(f"{kind}_friction", joint) for kind in ("coulomb", "viscous") for joint in ("j1", "j2")],
+        ),
     }
 
     def xml(self, machine):

@@ -2,7 +2,7 @@
 
 use crate::mjcf::attribute;
 use crate::mujoco::ObjectKind;
-use crate::sysid::parameter::{ParameterRule, Parameters};
+use crate::sysid::parameter::ParameterRule;
 use crate::sysid::problem::Problem;
 
 use super::GapError;
@@ -95,11 +95,9 @@ impl Built {
     /// # Errors
     /// A number is a parameter twice: of the base model and of an effect.
     pub(super) fn problem(&self, problem: &Problem) -> Result<Problem, GapError> {
-        let names: Vec<String> = problem.channels.iter().map(|c| c.name.clone()).collect();
-        let parameters = Parameters::new(&self.file.model, &self.rules, &names)?;
         Ok(Problem {
             model: self.file.model.clone(),
-            parameters,
+            parameters: problem.parameters_of(&self.file.model, &self.rules)?,
             ..problem.clone()
         })
     }

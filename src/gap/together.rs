@@ -15,7 +15,6 @@ use super::linear::{Column, Linear};
 use super::screen::{At, Look};
 use crate::mujoco::{Model, ObjectKind};
 use crate::sysid::islands::{Partition, Shows, colours};
-use crate::sysid::parameter::Parameters;
 use crate::sysid::problem::Problem;
 
 /// An effect of some size to be looked at.
@@ -147,8 +146,7 @@ impl Look<'_> {
             return Ok(vec![None; group.len()]);
         }
         let problem = &self.windows.problem;
-        let names: Vec<String> = problem.channels.iter().map(|c| c.name.clone()).collect();
-        let Ok(parameters) = Parameters::new(&file.model, &self.built.rules, &names) else {
+        let Ok(parameters) = problem.parameters_of(&file.model, &self.built.rules) else {
             return self.one_by_one(group, linear, some);
         };
         let with = Problem {

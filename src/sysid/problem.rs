@@ -196,6 +196,19 @@ impl Problem {
         self.channels.iter().map(|c| c.sigma).collect()
     }
 
+    /// What rules say of another model.
+    ///
+    /// # Errors
+    /// As [`Parameters::new`].
+    pub(crate) fn parameters_of(
+        &self,
+        model: &Model,
+        rules: &[ParameterRule],
+    ) -> Result<Parameters, SysidError> {
+        let names: Vec<String> = self.channels.iter().map(|c| c.name.clone()).collect();
+        Parameters::new(model, rules, &names)
+    }
+
     /// Takes a standard deviation for every channel.
     pub(crate) fn take_sigma(&mut self, sigma: &[f64]) {
         for (channel, sigma) in self.channels.iter_mut().zip(sigma) {
