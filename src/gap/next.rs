@@ -165,7 +165,7 @@ impl Search<'_> {
         for rival in rivals {
             let mut windows = recorded.clone();
             windows.problem = rival.built.problem(&recorded.problem)?;
-            windows.measured = [recorded.states.clone(), recorded.states.clone()];
+            windows.measured = std::array::from_fn(|_| recorded.states.clone());
             let fit = windows.fit(&rival.x, ITERATIONS, &mut watch.fit_nearly());
             let Some(fit) = sound(fit)? else {
                 return Ok(None);
