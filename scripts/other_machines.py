@@ -28,6 +28,11 @@ def dry(level, v, smooth=SMOOTH):
     return -np.asarray(level) * np.tanh(v / smooth)
 
 
+def together(*laws):
+    """Several laws with their places, as one."""
+    return (lambda d: sum(np.asarray(law(d)) for law, _ in laws), [place for _, places in laws for place in places])
+
+
 def sines(rng, amplitudes, hz, n):
     """Sums of `n` sines between two frequencies, one sum an amplitude."""
     shape = (len(amplitudes), n)
@@ -89,11 +94,8 @@ class Pendulum:
         "dry": (lambda d: dry(0.01, d.qvel), [("coulomb_friction", "pivot")]),
         "air": (lambda d: -0.002 * np.abs(d.qvel) * d.qvel, [("quadratic_drag", "pivot")]),
         "spring": (lambda d: -0.08 * d.qpos, [("joint_spring", "pivot")]),
-        "worn": (
-            lambda d: dry(0.01, d.qvel) - 0.002 * np.abs(d.qvel) * d.qvel,
-            [("coulomb_friction", "pivot"), ("quadratic_drag", "pivot")],
-        ),
     }
+    hidden["worn"] = together(hidden["dry"], hidden["air"])
 
     def xml(self, machine):
         mass, damping = (0.32, 0.0012) if machine else (0.3, 0.001)
@@ -115,11 +117,8 @@ class Cart:
         "none": (lambda d: 0, []),
         "dry": (lambda d: [dry(0.8, d.qvel[0]), 0], [("coulomb_friction", "slide")]),
         "offset": (lambda d: [0.3, 0], [("torque_offset", "slide")]),
-        "worn": (
-            lambda d: [dry(0.8, d.qvel[0]) - 2 * d.qpos[0], 0],
-            [("coulomb_friction", "slide"), ("joint_spring", "slide")],
-        ),
     }
+    hidden["worn"] = together(hidden["dry"], (lambda d: [-2 * d.qpos[0], 0], [("joint_spring", "slide")]))
 
     def xml(self, machine):
         m_cart, m_pole, rail, hinge = (0.82, 0.21, 1.1, 0.0011) if machine else (0.8, 0.2, 1.0, 0.001)
@@ -144,11 +143,14 @@ class Furuta:
         "none": (lambda d: 0, []),
         "cable": (lambda d: [-0.004 * d.qpos[0], 0], [("joint_spring", "arm")]),
         "dry": (lambda d: [dry(0.0025, d.qvel[0], 0.05), 0], [("coulomb_friction", "arm")]),
-        "worn": (
-            lambda d: [dry(0.0025 + 0.002 * np.exp(-((d.qvel[0] / 0.4) ** 2)), d.qvel[0], 0.05) - 0.004 * d.qpos[0], 0],
-            [("coulomb_friction", "arm"), ("joint_spring", "arm"), ("stribeck_friction", "arm")],
-        ),
     }
+    hidden["worn"] = together(
+        (
+            lambda d: [dry(0.0025 + 0.002 * np.exp(-((d.qvel[0] / 0.4) ** 2)), d.qvel[0], 0.05), 0],
+            [("coulomb_friction", "arm"), ("stribeck_friction", "arm")],
+        ),
+        hidden["cable"],
+    )
 
     def xml(self, machine):
         mass, d_arm, d_pendulum = (0.025, 0.0004, 3e-5) if machine else (0.024, 0.0005, 2.5e-5)
@@ -176,11 +178,8 @@ class Arm:
         "none": (lambda d: 0, []),
         "dry": (lambda d: dry(Arm.levels, d.qvel, 5e-3), [("coulomb_friction", f"j{i}") for i in range(1, 7)]),
         "gain": (lambda d: [0, 0, -0.12 * d.ctrl[2], 0, 0, 0], [("torque_gain", "m3")]),
-        "worn": (
-            lambda d: dry(Arm.levels, d.qvel, 5e-3) - 0.12 * d.ctrl * (np.arange(6) == 2),
-            [*[("coulomb_friction", f"j{i}") for i in range(1, 7)], ("torque_gain", "m3")],
-        ),
     }
+    hidden["worn"] = together(hidden["dry"], hidden["gain"])
     lengths, masses = [0.12, 0.3, 0.28, 0.1, 0.09, 0.06], [3.0, 4.5, 2.8, 1.3, 1.0, 0.4]
     axes = ["0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1"]
     dampings, armatures = [0.8, 0.8, 0.5, 0.2, 0.2, 0.1], [0.4, 0.4, 0.25, 0.08, 0.08, 0.04]
@@ -215,11 +214,8 @@ class DoublePendulum:
         "none": (lambda d: 0, []),
         "viscous": (lambda d: -np.array([8e-4, 3e-4]) * d.qvel, [("viscous_friction", "j1"), ("viscous_friction", "j2")]),
         "dry": (lambda d: dry([2e-3, 1e-3], d.qvel), [("coulomb_friction", "j1"), ("coulomb_friction", "j2")]),
-        "worn": (
-            lambda d: dry([2e-3, 1e-3], d.qvel) - np.array([8e-4, 3e-4]) * d.qvel,
-            [(f"{kind}_friction", joint) for kind in ("coulomb", "viscous") for joint in ("j1", "j2")],
-        ),
     }
+    hidden["worn"] = together(hidden["dry"], hidden["viscous"])
 
     def xml(self, machine):
         m_upper, m_lower = (0.11 if machine else 0.1), 0.08
@@ -240,14 +236,13 @@ class Bare:
     readings, motors, rate, step, seconds, trials = ["q1", "q2"], ["m1", "m2"], 200, 2e-4, 6, 4
     noise = [1e-4, 1e-4]
     parameters = [("body/*", "mass", 0.1, None)]
-    viscous = [("viscous_friction", "j1"), ("viscous_friction", "j2")]
     hidden = {
-        "viscous": (lambda d: -np.array([0.15, 0.08]) * d.qvel, viscous),
-        "both": (
-            lambda d: -np.array([0.15, 0.08]) * d.qvel + dry([0.25, 0.12], d.qvel),
-            [*viscous, ("coulomb_friction", "j1"), ("coulomb_friction", "j2")],
-        ),
+        "viscous": (lambda d: -np.array([0.15, 0.08]) * d.qvel, [("viscous_friction", "j1"), ("viscous_friction", "j2")]),
     }
+    hidden["both"] = together(
+        hidden["viscous"],
+        (lambda d: dry([0.25, 0.12], d.qvel), [("coulomb_friction", "j1"), ("coulomb_friction", "j2")]),
+    )
 
     def xml(self, machine):
         a, b = (1.248, 0.76) if machine else (1.2, 0.8)
