@@ -69,11 +69,15 @@ impl Windows {
         let ends =
             (0..here.len()).map(|w| self.preceding(w).map_or(&here[w].state, |p| &here[p].end));
         let ends: Vec<State> = ends.cloned().collect();
-        for begin in self.measured.iter().chain([&ends]) {
-            let Ok(found) = held.simulate_some(&[], begin, &left) else {
+        let [first, ..] = &self.measured;
+        for (way, begin) in self.measured.iter().chain([&ends]).enumerate() {
+            // what does not shake was measured in one way
+            let new = left.iter().filter(|&&w| way == 0 || begin[w] != first[w]);
+            let new: Vec<usize> = new.copied().collect();
+            let Ok(found) = held.simulate_some(&[], begin, &new) else {
                 continue;
             };
-            for (&w, found) in left.iter().zip(found) {
+            for (&w, found) in new.iter().zip(found) {
                 if let Some(found) = found
                     && found.cost < here[w].cost
                 {

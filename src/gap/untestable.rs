@@ -67,11 +67,12 @@ fn is_fitted(search: &Search<'_>, effect: &dyn Effect, place: &Place) -> bool {
     let (built, problem) = (&search.built, &search.windows.problem);
     let scales = search.measured.scales(&built.file.model, place);
     let all = variants(effect.about().parameters, &scales);
+    let own = problem.parameters.nominal();
     let mut each = all.iter().flat_map(|v| &v.columns);
     each.any(|(_, values)| {
         let written = effect::write(&built.file, effect, place, values).ok();
         let with = written.and_then(|w| problem.parameters_of(&w.file.model, &built.rules).ok());
-        with.is_some_and(|with| with.nominal() != problem.parameters.nominal())
+        with.is_some_and(|with| with.nominal() != own)
     })
 }
 

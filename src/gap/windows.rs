@@ -284,21 +284,24 @@ fn calm(model: &Model, trajectory: &[f64], first: &State) -> Result<State, Sysid
 /// that shakes on a soft drive is nowhere where its joint is. Of what does not shake, and where there are too few, that of the `first`
 /// state.
 fn mean(model: &Model, trajectory: &[f64], first: &State) -> Result<State, SysidError> {
-    let (nq, nv, h) = (model.nq(), model.nv(), model.timestep());
-    let n = (trajectory.len() / nq).saturating_sub(1) / 4 + 1;
+    let (nq, nv) = (model.nq(), model.nv());
+    let steps = (trajectory.len() / nq).saturating_sub(1) / 4;
+    if steps < 3 {
+        return Ok(first.clone());
+    }
+    let n = steps + 1;
     let mut far = DMatrix::zeros(n, nv);
     let mut change = vec![0.0; nv];
     for (k, knot) in trajectory.chunks(nq).take(n).enumerate() {
-        model.differentiate_pos(&mut change, 1.0, &trajectory[..nq], knot)?;
+        model.differentiate_pos(&mut change, 1.0, &first.qpos, knot)?;
         far.row_mut(k).copy_from_slice(&change);
     }
     // time in quarters: powers of about the same size
-    let span = (n - 1) as f64 * h;
+    let span = steps as f64 * model.timestep();
     let powers = DMatrix::from_fn(n, 3, |k, power| {
-        (k as f64 / (n - 1).max(1) as f64).powi(power as i32)
+        (k as f64 / steps as f64).powi(power as i32)
     });
-    let normal = powers.tr_mul(&powers).cholesky().filter(|_| n > 3);
-    let Some(normal) = normal else {
+    let Some(normal) = powers.tr_mul(&powers).cholesky() else {
         return Ok(first.clone());
     };
     let parabola = normal.solve(&powers.tr_mul(&far));
@@ -306,18 +309,18 @@ fn mean(model: &Model, trajectory: &[f64], first: &State) -> Result<State, Sysid
     // what one reading says of the next is not what shakes
     let shakes = |dof: usize| {
         let own = left.column(dof);
-        let turns = own.rows(1, n - 1) - own.rows(0, n - 1);
+        let turns = own.rows(1, steps) - own.rows(0, steps);
         turns.norm_squared() > own.norm_squared()
     };
-    let (mut qpos, mut qvel) = (trajectory[..nq].to_vec(), first.qvel.clone());
-    for (dof, (change, qvel)) in change.iter_mut().zip(&mut qvel).enumerate() {
-        *change = 0.0;
-        if shakes(dof) {
-            (*change, *qvel) = (parabola[(0, dof)], parabola[(1, dof)] / span);
-        }
+    let mut state = first.clone();
+    change.fill(0.0);
+    for dof in (0..nv).filter(|dof| shakes(*dof)) {
+        (change[dof], state.qvel[dof]) = (parabola[(0, dof)], parabola[(1, dof)] / span);
     }
-    model.integrate_pos(&mut qpos, &change, 1.0)?;
-    Ok(State { qpos, qvel })
+    if change.iter().any(|c| *c != 0.0) {
+        model.integrate_pos(&mut state.qpos, &change, 1.0)?;
+    }
+    Ok(state)
 }
 
 /// Knots `first ..= last` of a trial as one of its own.
