@@ -358,7 +358,7 @@ pub(super) fn at_length(
         }
     }
     let lost = search.windows.length_s < cuts.length_s;
-    let more = lost || much || left::law(&rest);
+    let more = lost || much || left::law(&rest) || (effects.is_empty() && left::most(&gap));
     let verdict = verdict(&effects, !rest.is_empty(), more);
     let found = (&*effects, &*untestable);
     let next_experiment = next::experiment(&search, screen, found, watch)?;
