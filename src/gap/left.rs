@@ -102,8 +102,8 @@ pub(super) fn most(gap: &Gap) -> bool {
     // of each unit the shortest first
     let at_once = |first: &Rollout| {
         let alike = gap.rollout.iter().filter(|r| r.unit == first.unit);
-        let most = alike.map(|r| r.after).fold(0.0, f64::max);
-        most > 0.0 && first.after >= AT_ONCE * most
+        let largest = alike.map(|r| r.after).fold(0.0, f64::max);
+        largest > 0.0 && first.after >= AT_ONCE * largest
     };
     forces && gap.rollout.first().is_some_and(at_once)
 }

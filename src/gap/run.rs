@@ -358,8 +358,9 @@ pub(super) fn at_length(
         }
     }
     let lost = search.windows.length_s < cuts.length_s;
-    let more = lost || much || left::law(&rest) || (effects.is_empty() && left::most(&gap));
-    let verdict = verdict(&effects, !rest.is_empty(), more);
+    let more = lost || much || left::law(&rest);
+    let structure = !rest.is_empty() || left::most(&gap);
+    let verdict = verdict(&effects, structure, more);
     let found = (&*effects, &*untestable);
     let next_experiment = next::experiment(&search, screen, found, watch)?;
     let (built, problem) = (&search.built, &search.windows.problem);
@@ -420,7 +421,7 @@ pub(super) fn begin<'a>(
     Ok((cuts, search))
 }
 
-/// `structure` is left, or `more` than was found is missing.
+/// `structure` is left, which effects may have left, or `more` than was found is missing.
 fn verdict(effects: &[super::result::Named], structure: bool, more: bool) -> Verdict {
     match effects {
         _ if more => Verdict::Unknown,
