@@ -12,7 +12,7 @@
 //! ```
 //!
 //! with σ, σ' of the channels in the two fits and z the n distances from priors, in standard deviations. Without priors the fit
-//! from the noise alone is made.
+//! from the noise alone is made. The few windows that meet a limit where the model is lost are left out of it ([`super::limits`]).
 
 use super::fit::Fitted;
 use super::weigh::{FAR, ROUGH_ITERATIONS};
@@ -70,24 +70,27 @@ pub(super) fn fit(
     let mut explained = windows.clone();
     let rough = explained.fit(&start, ROUGH_ITERATIONS, &mut |i| watch.fit(i))?;
     explained.weigh(&rough.x, &noise)?;
-    let mut fitted = |mut windows: Windows| {
-        let from = (&*start, &*noise);
+    let mut fitted = |mut windows: Windows, x: &[f64]| {
+        let from = (x, &*noise);
         let fit = windows.fit_weighed(from, ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut |i| watch.fit(i))
         })?;
         Ok::<_, GapError>((End::of(&windows, &fit, &noise), windows, fit))
     };
-    let mut best = fitted(explained)?;
+    let mut best = fitted(explained, &start)?;
     let free = windows.problem.parameters.iter_free();
     let n_priors = free.filter(|p| p.has_prior()).count();
     if n_priors > 0 {
         windows.weigh(&start, &noise)?;
-        let other = fitted(windows)?;
+        let other = fitted(windows, &start)?;
         if other.0.is_better(best.0, n_priors) {
             best = other;
         }
     }
-    let (_, mut windows, fit) = best;
+    let (_, mut windows, mut fit) = best;
+    if let Some(others) = windows.off_limits(&fit.each) {
+        (_, windows, fit) = fitted(windows.only(&others), &fit.x)?;
+    }
     let fit = windows.within_priors(fit, &noise, |windows, x| {
         windows.fit(x, ITERATIONS, &mut |i| watch.fit(i))
     })?;

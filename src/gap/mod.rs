@@ -37,6 +37,7 @@ mod inputs;
 mod late;
 mod left;
 mod lengths;
+mod limits;
 mod linear;
 mod locate;
 mod lookalike;
