@@ -53,11 +53,13 @@ pub(super) fn name(
             let value = numbers[i].values[p];
             let number = free.iter().find(|f| f.1 == i && f.2 == p);
             let ci95 = number.map(|(j, _, _, slope)| {
-                let by_step = step.map_or(0.0, |dx| (dx[*j] * slope).abs());
+                let by_step = step.map_or(0.0, |dx| dx[*j] * slope);
                 let span = |own: &Chosen, normal: &Normal| {
                     let (sigma, dof) = normal.fitted(*j);
-                    let half = two_sided_t(0.95, dof.max(1.0)) * sigma * slope.abs() + by_step;
-                    [own.values[p] - half, own.values[p] + half]
+                    let half =
+                        two_sided_t(0.95, dof.max(1.0)) * sigma * slope.abs() + by_step.abs();
+                    let without = own.values[p] + by_step;
+                    [without - half, without + half]
                 };
                 let [mut low, mut high] = span(chosen, &screen.normal);
                 if let Some((own, normal)) = even {

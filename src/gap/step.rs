@@ -8,8 +8,9 @@
 //! dx = −2 (J̃ᵀJ̃ + P)⁻¹ J̃ᵀ (r(h/2) − r(h))
 //! ```
 //!
-//! twice, as half the error is gone in half the step, and belongs to the intervals of numbers (Richardson 1911). With
-//! r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it would be without steps.
+//! twice, as half the error is gone in half the step (Richardson 1911). Without steps numbers would be about x + dx: their intervals
+//! are around that, and wider by |dx|, so that they have x. With r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it
+//! would be without steps.
 
 use nalgebra::DVector;
 
