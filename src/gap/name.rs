@@ -58,8 +58,8 @@ pub(super) fn name(
                     let (sigma, dof) = normal.fitted(*j);
                     let half =
                         two_sided_t(0.95, dof.max(1.0)) * sigma * slope.abs() + by_step.abs();
-                    let without = own.values[p] + by_step;
-                    [without - half, without + half]
+                    let (with, without) = (own.values[p], own.values[p] + by_step);
+                    [with.min(without) - half, with.max(without) + half]
                 };
                 let [mut low, mut high] = span(chosen, &screen.normal);
                 if let Some((own, normal)) = even {

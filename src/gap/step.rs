@@ -8,8 +8,8 @@
 //! dx = −2 (J̃ᵀJ̃ + P)⁻¹ J̃ᵀ (r(h/2) − r(h))
 //! ```
 //!
-//! twice, as half the error is gone in half the step (Richardson 1911). Without steps numbers would be about x + dx: their intervals
-//! are around that, and wider by |dx|, so that they have x. With r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it
+//! twice, as half the error is gone in half the step (Richardson 1911). Without steps numbers would be about x + dx, give or take |dx|:
+//! intervals span that and x. With r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it
 //! would be without steps.
 
 use nalgebra::DVector;
