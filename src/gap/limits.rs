@@ -24,7 +24,12 @@ impl Windows {
     /// The windows that meet no limit, if some meet one and are to be left out; `each` is the cost of every window, at whose
     /// trajectories the model is.
     pub(super) fn off_limits(&self, each: &[f64]) -> Option<Vec<usize>> {
-        let meets = |w: &usize| meets(&self.problem.model, &self.trajectories[*w]);
+        let model = &self.problem.model;
+        let limits = limits(model);
+        let meets = |w: &usize| {
+            let mut knots = self.trajectories[*w].chunks(model.nq());
+            knots.any(|qpos| limits.iter().any(|limit| limit.is_met(qpos)))
+        };
         let (met, others): (Vec<usize>, Vec<usize>) = self.all().into_iter().partition(meets);
         let much = LOST * Data::new(each.to_vec()).median();
         let is_lost = met.iter().any(|&w| each[w] > much);
@@ -32,17 +37,32 @@ impl Windows {
     }
 }
 
-/// Whether a hinge or slide is at a limit somewhere on the `trajectory` (knots × nq).
-fn meets(model: &Model, trajectory: &[f64]) -> bool {
-    let limited =
-        (0..model.njnt()).filter(|&j| model.jnt_limited()[j] != 0 && model.is_slide(j).is_some());
-    let of = |j: usize| {
-        let (at, range) = (model.jnt_qposadr()[j] as usize, model.jnt_range());
-        (at, range[2 * j], range[2 * j + 1])
-    };
-    let limits: Vec<(usize, f64, f64)> = limited.map(of).collect();
-    let mut knots = trajectory.chunks(model.nq());
-    knots.any(|qpos| (limits.iter()).any(|&(at, low, high)| qpos[at] <= low || qpos[at] >= high))
+/// Of a hinge or slide.
+struct Limit {
+    /// address in `qpos`
+    at: usize,
+    low: f64,
+    high: f64,
+}
+
+impl Limit {
+    fn is_met(&self, qpos: &[f64]) -> bool {
+        qpos[self.at] <= self.low || qpos[self.at] >= self.high
+    }
+}
+
+/// Of all hinges and slides that have one.
+fn limits(model: &Model) -> Vec<Limit> {
+    let limited = |j: &usize| model.jnt_limited()[*j] != 0 && model.is_slide(*j).is_some();
+    let range = model.jnt_range();
+    (0..model.njnt())
+        .filter(limited)
+        .map(|j| Limit {
+            at: model.jnt_qposadr()[j] as usize,
+            low: range[2 * j],
+            high: range[2 * j + 1],
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -9,8 +9,7 @@
 //! ```
 //!
 //! twice, as half the error is gone in half the step (Richardson 1911). Without steps numbers would be about x + dx, give or take |dx|:
-//! intervals span that and x. With r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it
-//! would be without steps.
+//! intervals span that and x. With r + 2 (r(h/2) − r(h)) for r, and dx fitted to it, the cost is what it would be without steps.
 
 use nalgebra::DVector;
 
