@@ -346,6 +346,7 @@ pub(super) fn at_length(
             100.0 * part
         ));
     }
+    gap.notes.extend(cuts.left_out(&search.windows)?);
     for effect in &effects {
         if effect
             .decoys
