@@ -137,20 +137,6 @@ impl Cuts {
         Ok(windows)
     }
 
-    /// What to say of windows of the training recordings that are not among these.
-    ///
-    /// # Errors
-    /// The engine refuses a number.
-    pub(super) fn left_out(&self, windows: &Windows) -> Result<Option<String>, SysidError> {
-        let all = self.train(windows.length_s)?.len();
-        let n = all.saturating_sub(windows.len());
-        Ok((n > 0).then(|| {
-            format!(
-                "{n} of {all} windows are left out of the search: a joint meets its limit in them, or the simulation diverges"
-            )
-        }))
-    }
-
     /// s between readings of the channel that has fewest.
     fn interval_s(&self) -> f64 {
         let mut counts = vec![0_usize; self.whole.channels.len()];
@@ -349,20 +335,6 @@ mod tests {
             search.take(fits.expect("fitted").expect("follows"));
             let with = astray(search, watch);
             assert!(with.1 < 0.1 * with.0, "{with:?}");
-        });
-    }
-
-    #[test]
-    fn windows_that_are_left_out_are_counted() {
-        let base = machine("", "");
-        searching_cut(&base, &base, CONFIG, |search, cuts, _| {
-            let windows = &search.windows;
-            let n = windows.len();
-            let said = |windows: &Windows| cuts.left_out(windows).expect("cut");
-            assert_eq!(said(windows), None);
-            let few = windows.only(&(3..n).collect::<Vec<_>>());
-            let begin = format!("3 of {n} windows");
-            assert!(said(&few).is_some_and(|note| note.starts_with(&begin)));
         });
     }
 

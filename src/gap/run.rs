@@ -346,7 +346,7 @@ pub(super) fn at_length(
             100.0 * part
         ));
     }
-    gap.notes.extend(cuts.left_out(&search.windows)?);
+    gap.notes.extend(search.windows.left_out());
     for effect in &effects {
         if effect
             .decoys

@@ -56,6 +56,8 @@ pub(super) struct Windows {
     pub still: Vec<Vec<usize>>,
     /// s
     pub length_s: f64,
+    /// how many were cut, of which some may be left out
+    pub n_cut: usize,
     /// of each window: steps of the model that derivatives take at once, see [`super::coarse`]
     pub factors: Vec<usize>,
 }
@@ -153,6 +155,7 @@ impl Windows {
             }
         }
         let mut cut = Self {
+            n_cut: problem.trials.len(),
             factors: vec![1; problem.trials.len()],
             problem,
             origin,
@@ -193,6 +196,7 @@ impl Windows {
                 .map(|way| kept.iter().map(|&i| way[i].clone()).collect()),
             still: kept.iter().map(|&i| self.still[i].clone()).collect(),
             length_s: self.length_s,
+            n_cut: self.n_cut,
             factors: kept.iter().map(|&i| self.factors[i]).collect(),
         }
     }
@@ -207,6 +211,16 @@ impl Windows {
     /// Number of windows.
     pub(super) fn len(&self) -> usize {
         self.problem.trials.len()
+    }
+
+    /// What to say of those that were cut and are left out, if some are.
+    pub(super) fn left_out(&self) -> Option<String> {
+        let (n, all) = (self.n_cut - self.len(), self.n_cut);
+        (n > 0).then(|| {
+            format!(
+                "{n} of {all} windows are left out of the search: a joint meets its limit in them, or the simulation diverges"
+            )
+        })
     }
 
     /// The index of each.
@@ -386,6 +400,19 @@ mod tests {
             };
             assert_eq!(before(all), [None, Some(0), Some(1)]);
             assert_eq!(before(&all.only(&[0, 2, 3])), [None, None, Some(1)]);
+        });
+    }
+
+    #[test]
+    fn windows_that_are_left_out_are_counted() {
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&machine("", ""), &machine("", ""), config, |search, _| {
+            let windows = &search.windows;
+            let n = windows.len();
+            assert_eq!(windows.left_out(), None);
+            let few = windows.only(&(3..n).collect::<Vec<_>>());
+            let begin = format!("3 of {n} windows");
+            assert!(few.left_out().is_some_and(|note| note.starts_with(&begin)));
         });
     }
 
