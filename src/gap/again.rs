@@ -71,7 +71,7 @@ impl Look<'_> {
                 if parameter.is_whole() {
                     continue;
                 }
-                let most = parameter.high * parameter.scale(&scales);
+                let most = parameter.most(&scales);
                 let beta = beta.clamp(-most, most);
                 let length: f64 = columns[*c].parts.iter().map(DVector::norm_squared).sum();
                 let whole = (2.0 * normal.cost() / length).sqrt().min(size.abs());

@@ -219,6 +219,12 @@ impl Parameter {
         multiple * self.scale(scales)
     }
 
+    /// The largest size to be expected: of its range, or that is tried.
+    pub(in crate::gap) fn most(&self, scales: &Scales) -> f64 {
+        let tried = self.grid(scales).into_iter();
+        tried.fold(self.high * self.scale(scales), f64::max)
+    }
+
     /// The values of its grid; empty if it has none.
     pub fn grid(&self, scales: &Scales) -> Vec<f64> {
         match self.role {
@@ -243,6 +249,11 @@ impl Parameter {
         [least, most].map(|multiple| multiple * self.scale(scales))
     }
 
+    /// Whether it is a size that is tried at several values, as it acts otherwise at each.
+    pub(in crate::gap) fn bends(&self) -> bool {
+        matches!(self.role, Role::Bent(_))
+    }
+
     /// Whether it is there as a whole or not at all: its column has no size of its own.
     pub(in crate::gap) fn is_whole(&self) -> bool {
         matches!(self.role, Role::Threshold(_) | Role::Switch)
@@ -263,7 +274,7 @@ impl Parameter {
             return (ALL_OR_NOTHING[0]..=ALL_OR_NOTHING[1]).contains(&expected);
         }
         // steps of the model are a little like a drive that gives way
-        let counts = !matches!(self.role, Role::Bent(_)) || self.counts(expected, scales);
+        let counts = !self.bends() || self.counts(expected, scales);
         let positive = self.sign == Sign::Either || expected > 0.0;
         positive && counts && expected.abs() <= self.sensible(scales)[1]
     }
@@ -392,6 +403,26 @@ mod tests {
         );
         assert!(give.makes_sense(1e-4, &scales) && !give.makes_sense(1.4e-5, &scales));
         assert!(!give.makes_sense(-1e-3, &scales));
+    }
+
+    /// Columns of a soft drive, tried in more than its range, were taken again at the end of that, where its motor swings
+    /// otherwise.
+    #[test]
+    fn what_is_tried_may_be_expected() {
+        let give = super::super::named("transmission_compliance").expect("in the catalogue");
+        let scales = Scales {
+            force: 1.01,
+            speed: 0.1,
+            travel: 0.2,
+            acceleration: 2.4,
+            length: 0.2,
+            mass: 0.3,
+            slide: false,
+        };
+        let compliance = &give.about().parameters[0];
+        let most = compliance.most(&scales);
+        assert!(compliance.grid(&scales).iter().all(|c| *c <= most));
+        assert!(most > compliance.high * compliance.scale(&scales));
     }
 
     /// A column of a threshold five times over is of another threshold.

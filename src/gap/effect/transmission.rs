@@ -66,10 +66,12 @@ impl Effect for Compliance {
             shows: Shows::Reading,
             signature: "c u: the encoder runs ahead of the joint in proportion to the torque",
             parameters: &[
+                // soft ones swing about as fast as a controller shakes them: a phase that is a radian off says nothing. Stiff
+                // ones follow in proportion
                 Parameter::bent(
                     "compliance",
                     Dimension::TravelPerForce,
-                    &[1e-3, 4e-3, 1.5e-2, 6e-2],
+                    &[1e-3, 4e-3, 1.5e-2, 3e-2, 6e-2, 9e-2, 0.12],
                     [1e-4, 0.05],
                 ),
                 Parameter::choice("damping_ratio", Dimension::Share, &[0.3], [0.05, 0.95]),
