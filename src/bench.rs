@@ -15,6 +15,7 @@ mod recording;
 use std::time::Instant;
 
 use serde::Serialize;
+use statrs::statistics::{self, OrderStatistics};
 
 use crate::mujoco::{Data, Model};
 use crate::rollout::{BatchRequest, Trajectory};
@@ -175,9 +176,8 @@ fn bare_loop(
     Ok(result)
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+fn median(values: Vec<f64>) -> f64 {
+    statistics::Data::new(values).median()
 }
 
 /// Peak resident memory of this process in MB, where the system tells.
