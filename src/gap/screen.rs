@@ -3,7 +3,7 @@
 //! The motion is linearised once ([`super::linear`]); a candidate then costs one simulation of all windows for each
 //! of its sizes, with the effect in the model and the first states as they are, shared with candidates of other parts
 //! where it can be ([`super::together`]). Shapes that mean nothing without the effect are tried on their grid, those with
-//! many values first on a part of the windows, periods by [`super::pulse`].
+//! many values first on a part of the windows unless a size bends, periods by [`super::pulse`].
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
