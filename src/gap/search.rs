@@ -333,6 +333,8 @@ impl<'a> Search<'a> {
             return Ok(None);
         };
         windows.problem = problem;
+        // somewhere the model before did not
+        let breaks_down = |windows: &Windows| windows.len() != self.windows.len();
         let n_base =
             self.windows.problem.parameters.len() - self.built.free(&self.windows.problem).len();
         let mut x = windows.problem.parameters.start();
@@ -342,7 +344,7 @@ impl<'a> Search<'a> {
             for ((x, d), (low, high)) in x[..n_base].iter_mut().zip(step).zip(reach) {
                 *x += d.max(low).min(high);
             }
-            if sound(windows.move_states(&x, linear))?.is_none() {
+            if sound(windows.move_states(&x, linear))?.is_none() || breaks_down(&windows) {
                 return Ok(None);
             }
         }
@@ -358,7 +360,7 @@ impl<'a> Search<'a> {
                 .collect();
             let from: Vec<f64> = own.iter().map(|i| x[*i]).collect();
             let fit = windows.fit_below(bound, &from, HELD_ITERATIONS, &mut watch.fit_nearly());
-            let Some(fit) = sound(fit)? else {
+            let Some(fit) = sound(fit)?.filter(|_| !breaks_down(&windows)) else {
                 return Ok(None);
             };
             for (i, value) in own.into_iter().zip(fit.x) {
@@ -368,12 +370,9 @@ impl<'a> Search<'a> {
         }
         let most = ITERATIONS.min(MORE * iterations);
         let fit = windows.fit_below(bound, &x, most, &mut watch.fit_while_falling(iterations));
-        let Some(fit) = sound(fit)? else {
+        let Some(fit) = sound(fit)?.filter(|_| !breaks_down(&windows)) else {
             return Ok(None);
         };
-        if windows.len() != self.windows.len() {
-            return Ok(None); // it breaks down where the model before did not
-        }
         let values = built.values(&windows.problem, &fit.x, chosen);
         let cost = self.rated((&windows, &fit.x, fit.cost), &values, watch)?;
         Ok(Some(Fitted {
@@ -457,4 +456,25 @@ pub(super) struct Size {
     pub at: usize,
     /// how far it is from 0
     pub x: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::masses::{chosen, machine, searching};
+
+    /// Cogging, whose period is held at first, beside a last window that begins where the engine gives up.
+    #[test]
+    fn an_effect_with_which_a_window_breaks_down_is_not_fitted() {
+        let base = machine("", "");
+        searching(&base, &base, "", |search, watch| {
+            let cogging = [chosen(&base, "cogging", "a", &[0.1, 0.1, 40.0])];
+            let fitted = search.fitted(&cogging, ITERATIONS, watch);
+            assert!(fitted.expect("fitted").is_some());
+            let last = search.windows.states.last_mut().expect("windows");
+            last.qpos[0] = 1e11;
+            let fitted = search.fitted(&cogging, ITERATIONS, watch);
+            assert!(fitted.expect("given up").is_none());
+        });
+    }
 }
