@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use super::inputs::{judged, same_channels};
 use super::run::{Input, Options};
-use super::search::{Search, sound};
+use super::search::{Search, unbroken};
 use super::windows::{self, Windows};
 use super::{GapError, Watch};
 use crate::sysid::SysidError;
@@ -230,8 +230,10 @@ impl Windows {
     /// Fits first states alone, parameters at `x`; whether the model follows all windows, which else stay as they are.
     fn fit_states(&mut self, x: &[f64], watch: &mut Watch<'_>) -> Result<bool, GapError> {
         let mut own = self.holding(x);
-        let fitted = sound(own.fit(&[], STATES_ITERATIONS, &mut watch.fit_nearly()))?;
-        let follows = fitted.is_some() && own.len() == self.len();
+        let fit = unbroken(&mut own, |own| {
+            own.fit(&[], STATES_ITERATIONS, &mut watch.fit_nearly())
+        })?;
+        let follows = fit.is_some();
         if follows {
             self.states = own.states;
         }

@@ -91,8 +91,8 @@ impl Windows {
             };
             let step = self.step(&derivatives, &normal, &x, &here);
             let little = LEAST_FALL.max(LEAST_PART * cost);
-            let foretold = cost - step.fall(1.0);
-            if step.fall(1.0) < little || foretold > bound.max(LEADS_ON * cost) {
+            let foretold = step.fall(1.0);
+            if foretold < little || cost - foretold > bound.max(LEADS_ON * cost) {
                 if fresh {
                     break;
                 }

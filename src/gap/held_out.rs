@@ -15,9 +15,8 @@ use super::GapError;
 use super::fit::Fitted;
 use super::fitted::AtHand;
 use super::score::{by_stretch, stretches};
-use super::search::{ITERATIONS, Search};
+use super::search::{ITERATIONS, Search, unbroken};
 use super::windows::Windows;
-use crate::sysid::SysidError;
 
 /// Blocks, about.
 const BLOCKS: usize = 16;
@@ -177,12 +176,8 @@ impl Search<'_> {
         // the least: which of these windows stick is not known
         let least = windows.factors.iter().copied().min().unwrap_or(1);
         held.factors.fill(least);
-        let whole = held.len();
-        match held.fit(&[], ITERATIONS, &mut |_| true) {
-            Ok(fit) if held.len() == whole => Ok(Some((held, fit))),
-            Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
-            _ => Ok(None),
-        }
+        let fit = unbroken(&mut held, |held| held.fit(&[], ITERATIONS, &mut |_| true))?;
+        Ok(fit.map(|fit| (held, fit)))
     }
 }
 

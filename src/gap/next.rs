@@ -17,7 +17,7 @@ use super::fitted::Fitted;
 use super::name;
 use super::result::{Expected, Experiment, Named, Untestable};
 use super::screen::Screen;
-use super::search::{ITERATIONS, Search, sound};
+use super::search::{ITERATIONS, Search, unbroken};
 use super::windows::Windows;
 use super::{GapError, Stage, Watch};
 
@@ -166,13 +166,12 @@ impl Search<'_> {
             let mut windows = recorded.clone();
             windows.problem = rival.built.problem(&recorded.problem)?;
             windows.measured = std::array::from_fn(|_| recorded.states.clone());
-            let fit = windows.fit(&rival.x, ITERATIONS, &mut watch.fit_nearly());
-            let Some(fit) = sound(fit)? else {
+            let fit = unbroken(&mut windows, |own| {
+                own.fit(&rival.x, ITERATIONS, &mut watch.fit_nearly())
+            })?;
+            let Some(fit) = fit else {
                 return Ok(None);
             };
-            if windows.len() < recorded.len() {
-                return Ok(None);
-            }
             let cost = fit.each.iter().sum();
             least = Some(least.map_or(cost, |least| least.min(cost)));
         }

@@ -333,8 +333,6 @@ impl<'a> Search<'a> {
             return Ok(None);
         };
         windows.problem = problem;
-        // somewhere the model before did not
-        let breaks_down = |windows: &Windows| windows.len() != self.windows.len();
         let n_base =
             self.windows.problem.parameters.len() - self.built.free(&self.windows.problem).len();
         let mut x = windows.problem.parameters.start();
@@ -344,7 +342,7 @@ impl<'a> Search<'a> {
             for ((x, d), (low, high)) in x[..n_base].iter_mut().zip(step).zip(reach) {
                 *x += d.max(low).min(high);
             }
-            if sound(windows.move_states(&x, linear))?.is_none() || breaks_down(&windows) {
+            if unbroken(&mut windows, |own| own.move_states(&x, linear))?.is_none() {
                 return Ok(None);
             }
         }
@@ -359,8 +357,10 @@ impl<'a> Search<'a> {
                 .filter_map(of)
                 .collect();
             let from: Vec<f64> = own.iter().map(|i| x[*i]).collect();
-            let fit = windows.fit_below(bound, &from, HELD_ITERATIONS, &mut watch.fit_nearly());
-            let Some(fit) = sound(fit)?.filter(|_| !breaks_down(&windows)) else {
+            let fit = unbroken(&mut windows, |own| {
+                own.fit_below(bound, &from, HELD_ITERATIONS, &mut watch.fit_nearly())
+            })?;
+            let Some(fit) = fit else {
                 return Ok(None);
             };
             for (i, value) in own.into_iter().zip(fit.x) {
@@ -369,8 +369,10 @@ impl<'a> Search<'a> {
             windows.problem = whole;
         }
         let most = ITERATIONS.min(MORE * iterations);
-        let fit = windows.fit_below(bound, &x, most, &mut watch.fit_while_falling(iterations));
-        let Some(fit) = sound(fit)?.filter(|_| !breaks_down(&windows)) else {
+        let fit = unbroken(&mut windows, |own| {
+            own.fit_below(bound, &x, most, &mut watch.fit_while_falling(iterations))
+        })?;
+        let Some(fit) = fit else {
             return Ok(None);
         };
         let values = built.values(&windows.problem, &fit.x, chosen);
@@ -440,6 +442,16 @@ pub(super) fn sound<T>(of: Result<T, SysidError>) -> Result<Option<T>, GapError>
         Err(SysidError::Mujoco(error)) => Err(GapError::Sysid(error.into())),
         Err(_) => Ok(None),
     }
+}
+
+/// What a fit finds in `windows`; nothing where the model breaks down, be it in one of them.
+pub(super) fn unbroken<T>(
+    windows: &mut Windows,
+    fit: impl FnOnce(&mut Windows) -> Result<T, SysidError>,
+) -> Result<Option<T>, GapError> {
+    let whole = windows.len();
+    let found = sound(fit(windows))?;
+    Ok(found.filter(|_| windows.len() == whole))
 }
 
 /// Probability that an effect in the model is nothing: of its surest size. 0 for one without a number.
