@@ -4,7 +4,8 @@
 //! decides is taken from the fits: the cost, 2 more for each number, then for the best first
 //!
 //! - the cost of the held-out recordings, which has to fall by a twentieth, or where it is hardly more than noise make them a
-//!   thousand times likelier, and of the priors, which belongs to both;
+//!   thousand times likelier, and of the priors, which belongs to both; a twentieth of what noise does not explain of it will do
+//!   where the fit with the effect leaves hardly anything but noise: a bound that the held-out motion meets in few samples;
 //! - significance ([`super::evidence`]), in which held-out recordings have a say ([`super::held_out`]);
 //! - or, where noise explains all but a tenth of what the fit with it leaves, and that is less by a fifth, significance by that
 //!   noise, which needs no stretches that agree: a motor's ripple or bound may show in one;
@@ -45,7 +46,7 @@ const NEAR: f64 = 0.2;
 pub(super) const LEADING: f64 = 0.5;
 /// Times the cost of one fit that another has to be foretold to end below.
 pub(super) const WORSE: f64 = 1.25;
-/// Part of the held-out recordings' cost that an effect takes off it at least.
+/// Part of the held-out recordings' cost, or of what noise does not explain of it, that an effect takes off it at least.
 const OF_USE: f64 = 0.05;
 /// Part of the cost, and of what noise does not explain of the held-out recordings', that a small effect takes off at least.
 const MUCH: f64 = 0.2;
@@ -180,6 +181,7 @@ impl Search<'_> {
         let left = screen.linear.by_channel(rows.map(|row| &row.residual));
         let left = (screen.motors.as_ref()).and_then(|motors| largest_part(&left, motors));
         let present = self.held(self.at_hand(), 0.0)?;
+        let noise = self.cost - unexplained;
         // what fits in absurd numbers alone is something that the catalogue has not, and no worse fit is it
         let mut absurd: Option<f64> = None;
         for (i, of) in tried.iter().enumerate() {
@@ -200,7 +202,14 @@ impl Search<'_> {
             }
             let [held_before, held] = self.held_both(present.as_ref(), own)?;
             let falls = |least: fn(&Held) -> f64| falls(held_before.as_ref(), held.as_ref(), least);
-            if !falls(of_use) {
+            let plainly = if gain >= MUCH && is_noise(own.cost, noise) {
+                by_noise(of.candidate, fall(own)) * tests(screen) as f64
+            } else {
+                1.0
+            };
+            let plain = self.limits.significant(plainly);
+            // motions that were held out may show little of what leaves nothing but noise
+            if !falls(if plain { of_rest } else { of_use }) {
                 continue;
             }
             let mut then = self.settled_with(own.clone(), watch)?;
@@ -218,13 +227,6 @@ impl Search<'_> {
             let visible = of.candidate.score.as_ref().map_or(0.0, |s| s.visible);
             let large = self.limits.large(evidence.size) && visible >= HARDLY_VISIBLE;
             let sure = self.limits.significant(evidence.p_value);
-            let noise = self.cost - unexplained;
-            let plainly = if gain >= MUCH && is_noise(own.cost, noise) {
-                by_noise(of.candidate, fall(own)) * tests(screen) as f64
-            } else {
-                1.0
-            };
-            let plain = self.limits.significant(plainly);
             if (sure && (large || much)) || plain {
                 evidence.p_value = evidence.p_value.min(plainly);
                 let foretold = of.candidate.score.as_ref().map_or(0.0, |s| s.gain);
@@ -310,7 +312,17 @@ fn by_noise(candidate: &Candidate, fall: f64) -> f64 {
 
 /// What an effect takes off the held-out recordings' cost at least.
 pub(super) fn of_use(held: &Held) -> f64 {
-    let part = OF_USE * held.cost;
+    at_least(held, held.cost)
+}
+
+/// The same of one that leaves nothing but noise of what is fitted.
+fn of_rest(held: &Held) -> f64 {
+    at_least(held, held.unexplained())
+}
+
+/// A part of `cost`, or what makes noise much likelier where that is all.
+fn at_least(held: &Held, cost: f64) -> f64 {
+    let part = OF_USE * cost;
     if held.is_noise() {
         part.min(held.likelier())
     } else {
@@ -326,7 +338,7 @@ pub(super) fn tests(screen: &Screen) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::{Held, Tried, is_much, of_use};
+    use super::{Held, Tried, is_much, of_rest, of_use};
     use crate::gap::effect::{ModelFile, write};
     use crate::gap::masses::{chosen, machine, searching};
 
@@ -401,6 +413,14 @@ mod tests {
         let falls = |noise: f64, after: f64| 237.0 - after > of_use(&Held::of(237.0, noise));
         assert!(falls(224.0, 226.0) && !falls(224.0, 231.0));
         assert!(!falls(200.0, 226.0) && falls(200.0, 225.0));
+    }
+
+    /// Costs of a finger whose motor meets its bound, in few samples of the held-out motion: 10.88 of it is noise.
+    #[test]
+    fn what_leaves_nothing_but_noise_need_not_show_in_held_out_noise() {
+        let (held, fall) = (Held::of(12.33, 10.88), 12.33 - 12.17);
+        assert!(fall < of_use(&held) && fall > of_rest(&held));
+        assert!(of_rest(&held) > 0.07);
     }
 
     /// However little channels weigh, what is left is worth the same.
