@@ -153,6 +153,20 @@ fn a_stop_in_the_middle_of_the_motion_is_found() {
     assert!(scored.exact, "{scored:?}");
 }
 
+/// A payload explains more than the spring or the length alone, and a motor's gain beside it most of the rest.
+#[test]
+fn two_effects_are_found_though_another_explains_more_than_either() {
+    let suite = shipped("arm", |config| {
+        config.arm.retain(|own| own.name == "two");
+        config.arm[0].machines = 1;
+        brief(config);
+        config.first_seed = 32005;
+    });
+    let watch: phantom::gap::Report<'_> = &mut |_, _, _| true;
+    let scored = suite.run(&suite.cases[0], watch).expect("an answer");
+    assert!(scored.exact, "{scored:?}");
+}
+
 /// Damping is fitted in any case, so that nothing tells what was there before.
 #[test]
 fn what_fitted_parameters_absorb_is_untestable() {

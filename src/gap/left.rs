@@ -7,6 +7,7 @@
 //! ```text
 //! law:  √explainable · rms f ≥ rms u / 20        at any joint, explainable ≥ 0.6
 //! much: remaining² = (|r̃|² − noise²)/|m̃|²        of the channel where it is largest, ≥ 3 % and a fifth of that before
+//! some: the same                                 ≥ the least size of an effect and a twentieth
 //! most: force of inverse dynamics, held out      ≥ half of the measured and twice its noise floor, where nothing was found
 //!       and rollouts of the shortest horizon       off by half as much as the longest
 //! ```
@@ -40,6 +41,8 @@ const LAW: f64 = 0.05;
 /// does not have.
 const MUCH: f64 = 0.03;
 const MOST: f64 = 0.2;
+/// Part of what there was at first from which other effects may explain it better.
+const PART: f64 = 0.05;
 /// Percent of the held-out force, and multiple of its noise, from which a model without effects is not all there is.
 const HELD_OUT_PERCENT: f64 = 50.0;
 const FLOORS: f64 = 2.0;
@@ -78,9 +81,17 @@ impl Search<'_> {
 
 /// Whether what remains is another force than those found.
 pub(super) fn much(remaining: &Remaining) -> bool {
-    let most = remaining
-        .before
-        .map_or(MUCH, |before| MUCH.max(MOST * before));
+    is_left(remaining, MUCH, MOST)
+}
+
+/// Whether so much remains that other effects than those found, of the size `least` each, may explain it better.
+pub(super) fn some(remaining: &Remaining, least: f64) -> bool {
+    is_left(remaining, least, PART)
+}
+
+/// Whether the part `least` of the motors' response remains, and `part` of what there was before.
+fn is_left(remaining: &Remaining, least: f64, part: f64) -> bool {
+    let most = (remaining.before).map_or(least, |before| least.max(part * before));
     remaining.after.is_some_and(|after| after >= most)
 }
 

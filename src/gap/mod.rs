@@ -13,6 +13,7 @@
 //! [`run()`] does all of it in memory; nothing is printed, and nothing read but the model's own assets.
 
 mod absorb;
+mod afresh;
 mod again;
 mod alike;
 mod band;
@@ -36,7 +37,6 @@ mod home;
 mod inputs;
 mod late;
 mod left;
-mod lengths;
 mod limits;
 mod linear;
 mod locate;
@@ -156,8 +156,8 @@ struct Watch<'a> {
     report: Report<'a>,
     stage: Stage,
     note: String,
-    /// which windows, where they are not the first
-    windows: String,
+    /// how it is done, where that is not the first way
+    way: String,
     /// whether it was asked to stop
     stopped: bool,
 }
@@ -168,7 +168,7 @@ impl<'a> Watch<'a> {
             report,
             stage: Stage::Fit,
             note: String::new(),
-            windows: String::new(),
+            way: String::new(),
             stopped: false,
         }
     }
@@ -192,7 +192,7 @@ impl<'a> Watch<'a> {
     }
 
     fn tell(&mut self, more: &str, part: Option<f64>) -> bool {
-        let words = [&*self.windows, &*self.note, more];
+        let words = [&*self.way, &*self.note, more];
         let said: Vec<&str> = words.into_iter().filter(|w| !w.is_empty()).collect();
         let go_on = (self.report)(self.stage, &said.join(" "), part);
         self.stopped |= !go_on;

@@ -15,7 +15,7 @@ use super::search::{Limits, Search};
 use super::stages::{self, Fit, Keeper, Nowhere, Screened, Step};
 use super::verify;
 use super::{
-    GapError, Report, Stage, Watch, left, lengths, name, next, nudged, repair, round_trip, toss,
+    GapError, Report, Stage, Watch, afresh, left, name, next, nudged, repair, round_trip, toss,
     untestable,
 };
 use crate::compare::Settings;
@@ -196,7 +196,7 @@ fn by_method(
     } else if let Some(hz) = hz {
         nudged::resume(input, options, hz, keeper, watch)
     } else {
-        lengths::search(input, options, keeper, watch)
+        afresh::search(input, options, keeper, watch)
     }
 }
 

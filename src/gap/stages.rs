@@ -5,7 +5,8 @@
 //! | `fit` | the base model's parameters, first states and weights |
 //! | `screen` | what the first screen says |
 //! | `effect-1`, … | the model after each step of the search |
-//! | `0.1s-fit`, … | the same in windows of another length |
+//! | `windows-of-0.1-s-fit`, … | the same in windows of another length |
+//! | `without-payload-fit`, … | the same without an effect that was found |
 //! | `toss`, `toss-1`, … | the same of tosses: the first look, then each step |
 //! | `nudged`, `nudged-1`, … | the same of pulled simulations: the base model's fit, then each step |
 //!

@@ -266,7 +266,7 @@ fn begin<'a>(
     keeper: &mut dyn Keeper,
     watch: &mut Watch<'_>,
 ) -> Result<(Judge<'a>, Fitted), GapError> {
-    watch.windows = format!("pulled at {hz} Hz");
+    watch.way = format!("pulled at {hz} Hz");
     watch.stage(Stage::Fit);
     let known: Option<Fit> = stages::load(keeper, "nudged");
     let fit = if let Some(known) = known {
