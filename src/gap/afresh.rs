@@ -228,9 +228,9 @@ mod tests {
         assert_eq!(left_out(&[]), None);
     }
 
-    /// Everything that two masses on slides can carry, but what is named.
+    /// Everything that two masses on slides can carry, but what is left out.
     #[test]
-    fn all_but_the_first_is_looked_for() {
+    fn all_but_what_is_left_out_is_looked_for() {
         let model = machine("", "").model;
         let names = |first, effects: &[&str]| {
             let effects: Vec<String> = effects.iter().map(|&e| e.to_owned()).collect();
