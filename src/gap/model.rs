@@ -354,6 +354,21 @@ mod tests {
         }
     }
 
+    /// A ripple and a cogging of 1.85 periods in the motion of a finger's crank fitted best at two, and were said to be absurd.
+    #[test]
+    fn a_ripple_has_one_and_a_half_periods() {
+        let base = machine("", "");
+        for (name, place) in [("torque_ripple", "ma"), ("cogging", "a")] {
+            let absurd = |periods: f64| {
+                let own = chosen(&base, name, place, &[0.0; 3]);
+                let scales = Scales::of(&base.model, &own.place);
+                let per_turn = 2.0 * std::f64::consts::PI * periods / scales.travel;
+                chosen(&base, name, place, &[0.01, 0.0, per_turn]).absurd(&scales)
+            };
+            assert!(!absurd(1.85) && absurd(1.5), "{name}");
+        }
+    }
+
     /// The cost is a parabola in the size, whose least is elsewhere.
     #[test]
     fn what_is_there_as_a_whole_is_there_once() {

@@ -1,6 +1,6 @@
 //! What motors make of their commands.
 
-use super::joint::{PERIODS, TWO_PERIODS, gear};
+use super::joint::{LEAST_PERIODS, PERIODS, gear};
 use super::place::{Site, joint_motors, motors};
 use super::{
     About, Dimension, Effect, Expression, Neighbour, Number, Parameter, Periodic, Place, Role,
@@ -252,7 +252,7 @@ impl Effect for TorqueRipple {
                     "per_turn",
                     Dimension::PerTravel,
                     PERIODS,
-                    [TWO_PERIODS, 200.0],
+                    [LEAST_PERIODS, 200.0],
                 ),
             ],
             neighbours: &[

@@ -10,15 +10,15 @@ use crate::mujoco::{Model, N_PRM, ObjectKind};
 
 /// Periods of ripple in a travel to try: neighbours differ by what a motion over the travel can tell apart.
 pub(super) const PERIODS: &[f64] = &[
-    60.0, 14.0, 16.0, 18.0, 20.0, 22.0, 24.0, 26.0, 28.0, 30.0, 32.0, 34.0, 36.0, 38.0, 40.0, 42.0,
-    44.0, 46.0, 48.0, 50.0, 52.0, 54.0, 56.0, 58.0, 62.0, 64.0, 66.0, 68.0, 70.0, 72.0, 74.0, 76.0,
-    78.0, 80.0, 82.0, 84.0, 86.0, 88.0, 90.0, 92.0, 94.0, 96.0, 98.0, 100.0, 102.0, 104.0, 106.0,
-    108.0, 110.0, 112.0, 114.0, 116.0, 118.0, 120.0, 124.0, 128.0, 132.0, 136.0, 140.0, 144.0,
-    148.0, 152.0, 156.0, 160.0,
+    60.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0, 24.0, 26.0, 28.0, 30.0, 32.0, 34.0, 36.0, 38.0,
+    40.0, 42.0, 44.0, 46.0, 48.0, 50.0, 52.0, 54.0, 56.0, 58.0, 62.0, 64.0, 66.0, 68.0, 70.0, 72.0,
+    74.0, 76.0, 78.0, 80.0, 82.0, 84.0, 86.0, 88.0, 90.0, 92.0, 94.0, 96.0, 98.0, 100.0, 102.0,
+    104.0, 106.0, 108.0, 110.0, 112.0, 114.0, 116.0, 118.0, 120.0, 124.0, 128.0, 132.0, 136.0,
+    140.0, 144.0, 148.0, 152.0, 156.0, 160.0,
 ];
 
-/// Less than two periods in a travel are none: any force by position looks like a part of one.
-pub(super) const TWO_PERIODS: f64 = 4.0 * std::f64::consts::PI;
+/// Less than one and a half periods in a travel are none: any force by position looks like a part of one.
+pub(super) const LEAST_PERIODS: f64 = 3.0 * std::f64::consts::PI;
 
 /// A constant torque.
 #[derive(Debug)]
@@ -169,7 +169,7 @@ impl Effect for Cogging {
                     "per_turn",
                     Dimension::PerTravel,
                     PERIODS,
-                    [TWO_PERIODS, 200.0],
+                    [LEAST_PERIODS, 200.0],
                 ),
             ],
             neighbours: &[Neighbour {
