@@ -30,6 +30,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::candidate::Candidate;
 use super::effect::{Effect, Place, are_neighbours, named};
 use super::fitted::{AtHand, Fitted};
 use super::held_out::falls;
@@ -37,7 +38,7 @@ use super::model::{Built, Chosen};
 use super::name::APART;
 use super::result::Where;
 use super::score::by_stretch;
-use super::screen::{Candidate, Screen};
+use super::screen::Screen;
 use super::search::{FEW_ITERATIONS, Search};
 use super::step::WithoutSteps;
 use super::windows::Windows;

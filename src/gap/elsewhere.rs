@@ -11,10 +11,11 @@
 //! and judged one by one as any other effect ([`super::forward`]); what does not stand is left out. What was found at
 //! several places is one effect in the count of those that are looked for.
 
+use super::candidate::Candidate;
 use super::evidence::{Evidence, Standing};
 use super::forward::{of_use, tests};
 use super::held_out::{Held, falls};
-use super::screen::{Candidate, Screen};
+use super::screen::Screen;
 use super::search::{ITERATIONS, Search};
 use super::{GapError, Stage, Watch};
 

@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use super::GapError;
 use super::alike::Rival;
+use super::candidate::{Candidate, largest_part};
 use super::linear::{Column, Linear};
 use super::score::Normal;
-use super::screen::{Candidate, largest_part};
 use super::search::{Search, doubt};
 use crate::sysid::problem::Problem;
 

@@ -17,6 +17,7 @@
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::alike::{self, Tried};
+use super::candidate::{Candidate, largest_part};
 use super::effect::are_neighbours;
 use super::evidence::Standing;
 use super::fitted::Fitted;
@@ -25,7 +26,7 @@ use super::inputs::is_wanted;
 use super::name::APART;
 use super::owed::Owed;
 use super::score::Score;
-use super::screen::{Candidate, HARDLY_VISIBLE, LEAST_VISIBLE, Screen, largest_part};
+use super::screen::{HARDLY_VISIBLE, LEAST_VISIBLE, Screen};
 use super::search::Search;
 use super::{GapError, Stage, Watch};
 

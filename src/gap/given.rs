@@ -1,9 +1,9 @@
 //! Effects that are given instead of searched for: what a search could reach at best.
 
+use super::candidate::Candidate;
 use super::effect::{self, Place};
 use super::result::Gap;
 use super::run::{self, Input, Options};
-use super::screen::Candidate;
 use super::search::{ITERATIONS, Search};
 use super::stages::Keeper;
 use super::{GapError, Report, Watch, nudged, repair, verify};

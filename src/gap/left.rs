@@ -22,12 +22,12 @@
 use nalgebra::DMatrix;
 
 use super::GapError;
+use super::candidate::largest_part;
 use super::linear::Linear;
 use super::locate::Missing;
 use super::predict::{Inputs, predicted};
 use super::result::{Gap, Left, Remaining, Rollout};
 use super::score::rms;
-use super::screen::largest_part;
 use super::search::Search;
 
 /// Part of the motors' force below which nothing is reported.

@@ -13,10 +13,11 @@
 //! effect, ρ² ≥ 0.9 or what the catalogue says of it, is fitted in its place ([`super::alike`]).
 
 use super::alike::Rival;
+use super::candidate::Candidate;
 use super::effect::{Sign, are_neighbours};
 use super::name::APART;
 use super::score::Normal;
-use super::screen::{Candidate, Screen};
+use super::screen::Screen;
 use super::search::{Search, Size};
 
 /// How many times the largest size to be expected another explanation may need.

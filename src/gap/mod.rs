@@ -18,6 +18,7 @@ mod again;
 mod alike;
 mod band;
 mod base;
+mod candidate;
 mod coarse;
 mod cuts;
 mod decoy;

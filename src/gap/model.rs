@@ -274,15 +274,35 @@ impl Variant {
         }
     }
 
-    /// Whether what is `expected` of every column makes sense.
+    /// Its columns of which what is `expected` makes sense.
+    pub(super) fn sensible(
+        &self,
+        parameters: &[Parameter],
+        expected: &[f64],
+        scales: &Scales,
+    ) -> Vec<usize> {
+        let each = self.parameters.iter().zip(expected).enumerate();
+        let sensible =
+            each.filter(|(_, (p, expected))| parameters[**p].makes_sense(**expected, scales));
+        sensible.map(|(i, _)| i).collect()
+    }
+
+    /// Whether they all are.
     pub(super) fn makes_sense(
         &self,
         parameters: &[Parameter],
         expected: &[f64],
         scales: &Scales,
     ) -> bool {
-        let mut each = self.parameters.iter().zip(expected);
-        each.all(|(&p, &expected)| parameters[p].makes_sense(expected, scales))
+        self.sensible(parameters, expected, scales).len() == self.parameters.len()
+    }
+
+    /// The columns `kept` alone.
+    pub(super) fn only(&self, kept: &[usize]) -> Self {
+        Self {
+            columns: kept.iter().map(|i| self.columns[*i].clone()).collect(),
+            parameters: kept.iter().map(|i| self.parameters[*i]).collect(),
+        }
     }
 }
 

@@ -10,13 +10,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::GapError;
 use super::absorb::Absorb;
+use super::candidate::{Candidate, Table, best_shape};
 use super::effect::{self, Effect, ModelFile, Parameter, Place};
 use super::fit::{gradient, information};
 use super::inputs::is_wanted;
 use super::linear::{Column, Linear};
-use super::model::{Built, Chosen, Measured, Variant, variants};
+use super::model::{Built, Measured, Variant, variants};
 use super::pulse::{self, Pulses};
-use super::score::{Normal, Score};
+use super::score::Normal;
 use super::together::Ask;
 use super::windows::Windows;
 use nalgebra::{DMatrix, DVector};
@@ -33,51 +34,6 @@ pub(super) const HARDLY_VISIBLE: f64 = 0.005;
 const LEFT: f64 = 1e-8;
 /// How often columns are looked at again.
 const LOOKS: usize = 2;
-/// Part of a response that a channel must show to count.
-const SHOWN: f64 = 0.1;
-
-/// An effect at a place, with what it would explain.
-#[derive(Debug, Clone)]
-pub(super) struct Candidate {
-    pub effect: &'static dyn Effect,
-    pub place: Place,
-    /// expected values, one a parameter
-    pub values: Vec<f64>,
-    /// index of its columns in the screen
-    pub columns: Vec<usize>,
-    /// the parameter that each stands for
-    pub parameters: Vec<usize>,
-    /// none: nothing of it can be seen
-    pub score: Option<Score>,
-    /// length of its response over that of the motors', where it shows most; none without motors
-    pub size: Option<f64>,
-    /// whether the expected values make sense
-    pub sensible: bool,
-    /// the same with other shapes that make sense, best first
-    pub others: Vec<Candidate>,
-}
-
-impl Candidate {
-    /// Itself and its other shapes.
-    pub(super) fn shapes(&self) -> impl Iterator<Item = &Self> {
-        std::iter::once(self).chain(&self.others)
-    }
-
-    /// As it is expected.
-    pub(super) fn chosen(&self) -> Chosen {
-        self.with(self.values.clone())
-    }
-
-    /// With these values, one a parameter.
-    pub(super) fn with(&self, values: Vec<f64>) -> Chosen {
-        Chosen {
-            effect: self.effect,
-            place: self.place.clone(),
-            values,
-        }
-    }
-}
-
 /// The table of all candidates.
 pub(super) struct Screen {
     pub candidates: Vec<Candidate>,
@@ -185,19 +141,18 @@ impl Look<'_> {
         }
         let motors = linear.motors(self.windows, self.x)?;
         let motors = motors.map(|m| linear.by_channel(&m.parts));
+        let table = Table {
+            model: &self.built.file.model,
+            measured: self.measured,
+            columns: &columns,
+            normal: &normal,
+            linear: &linear,
+            motors: motors.as_deref(),
+        };
         let mut shaped: BTreeMap<usize, Vec<Candidate>> = BTreeMap::new();
         for (i, variant, own) in found {
             let (effect, place) = &all[i];
-            let candidate = candidate(
-                *effect,
-                place,
-                &variant,
-                own,
-                (&normal, &linear),
-                &columns,
-                motors.as_deref(),
-                self,
-            );
+            let candidate = table.candidate(*effect, place, variant, own);
             shaped.entry(i).or_default().push(candidate);
         }
         Ok(Some(Screen {
@@ -344,82 +299,6 @@ fn best(
     each.map(|(i, (_, variant))| (i, variant)).collect()
 }
 
-/// The one of a candidate's shapes that gains most where it was not estimated, with the others.
-fn best_shape(mut all: Vec<Candidate>) -> Option<Candidate> {
-    let held = |c: &Candidate| {
-        let score = c.score.as_ref().filter(|_| c.sensible);
-        score.map_or(f64::NEG_INFINITY, |s| s.held_gain)
-    };
-    all.sort_by(|a, b| held(b).total_cmp(&held(a)));
-    let mut shapes = all.into_iter();
-    let best = shapes.next()?;
-    Some(Candidate {
-        others: shapes.filter(|c| held(c) > 0.0).collect(),
-        ..best
-    })
-}
-
-#[allow(clippy::too_many_arguments)] // what a candidate is made of
-fn candidate(
-    effect: &'static dyn Effect,
-    place: &Place,
-    variant: &Variant,
-    own: Vec<usize>,
-    (normal, linear): (&Normal, &Linear),
-    columns: &[Column],
-    motors: Option<&[f64]>,
-    look: &Look<'_>,
-) -> Candidate {
-    let parameters = effect.about().parameters;
-    let scales = look.measured.scales(&look.built.file.model, place);
-    let mut values = variant.columns[0].1.clone();
-    for (&i, (_, own)) in variant.parameters.iter().zip(&variant.columns) {
-        values[i] = own[i];
-    }
-    let score = normal.score(&own);
-    let (mut sensible, mut size) = (true, None);
-    if let Some(score) = &score {
-        sensible = variant.makes_sense(parameters, &score.expected, &scales);
-        for (&i, beta) in variant.parameters.iter().zip(&score.expected) {
-            if !parameters[i].is_whole() {
-                values[i] = *beta;
-            }
-        }
-        let response: Vec<DVector<f64>> = (0..look.windows.len())
-            .map(|w| {
-                let mut sum = columns[own[0]].parts[w].clone() * score.expected[0];
-                for (c, beta) in own.iter().zip(&score.expected).skip(1) {
-                    sum.axpy(*beta, &columns[*c].parts[w], 1.0);
-                }
-                sum
-            })
-            .collect();
-        size = motors.and_then(|m| largest_part(&linear.by_channel(&response), m));
-    }
-    Candidate {
-        effect,
-        place: place.clone(),
-        values,
-        columns: own,
-        parameters: variant.parameters.clone(),
-        score,
-        size,
-        sensible,
-        others: Vec::new(),
-    }
-}
-
-/// Length of a response over that of the motors, of the channel where it is largest among those that show most of it:
-/// what motors do elsewhere, as to an object they throw, says nothing of its size. None where motors do nothing.
-pub(super) fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
-    let total: f64 = response.iter().sum();
-    let shown = response
-        .iter()
-        .zip(motors)
-        .filter(|(r, m)| **r >= SHOWN * total && **m > 0.0);
-    shown.map(|(r, m)| (r / m).sqrt()).reduce(f64::max)
-}
-
 /// Σ J̃ᵀJ̃ of the parameters with their priors, and the gradient of the cost.
 fn with_priors(linear: &Linear, prior: &[(f64, f64)]) -> (DMatrix<f64>, DVector<f64>) {
     let np = prior.len();
@@ -456,15 +335,5 @@ mod tests {
         ));
         assert!(!all_at_once(parameters_of("payload"), 2 * FEW));
         assert!(all_at_once(parameters_of("payload"), FEW));
-    }
-
-    #[test]
-    fn a_size_is_judged_where_it_shows() {
-        // squared lengths of a joint's channel and of an object's that motors throw far
-        let (friction, motors) = ([4.0, 0.2], [100.0, 1e12]);
-        assert_eq!(largest_part(&friction, &motors), Some(0.2));
-        // seen at the object alone it is as small as it looks
-        assert_eq!(largest_part(&[0.0, 1e8], &motors), Some(0.01));
-        assert_eq!(largest_part(&friction, &[0.0, 0.0]), None);
     }
 }

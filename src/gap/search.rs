@@ -11,13 +11,14 @@
 
 use nalgebra::DVector;
 
+use super::candidate::Candidate;
 use super::effect::{ModelFile, Place};
 use super::evidence::Evidence;
 use super::fitted::{AtHand, Fitted};
 use super::linear::{Linear, Row};
 use super::model::{Built, Chosen, Measured};
 use super::score;
-use super::screen::{Candidate, Look, Screen};
+use super::screen::{Look, Screen};
 use super::windows::Windows;
 use super::{GapError, Stage, Watch, base};
 use crate::sysid::SysidError;

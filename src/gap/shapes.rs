@@ -4,9 +4,10 @@
 //! fall that is a fifth of the true one fits better than all near it. A candidate that leads is therefore fitted from every shape of
 //! its grid, and one that falls short of what the screen foretold from the next.
 
+use super::candidate::Candidate;
 use super::fitted::Fitted;
 use super::forward::{LEADING, WORSE};
-use super::screen::{Candidate, Screen};
+use super::screen::Screen;
 use super::search::{FEW_ITERATIONS, Search};
 use super::{GapError, Watch};
 
@@ -74,10 +75,10 @@ impl Search<'_> {
 
 #[cfg(test)]
 mod tests {
+    use crate::gap::candidate::Candidate;
     use crate::gap::effect::write;
     use crate::gap::masses::{chosen, machine, searching};
     use crate::gap::score::Score;
-    use crate::gap::screen::Candidate;
 
     /// Dry friction that falls with speed, taken first to do so within a crawl.
     #[test]

@@ -4,13 +4,14 @@
 //! what is left, as surely as a finding must, and above the least size of one, both as the last screen has them. What
 //! fitted parameters absorb, or no recording excites, does not.
 
+use super::candidate::Candidate;
 use super::effect::{self, Effect, Place};
 use super::forward::tests;
 use super::model::variants;
 use super::name;
 use super::result::Untestable;
 use super::score::two_sided;
-use super::screen::{Candidate, HARDLY_VISIBLE, Screen};
+use super::screen::{HARDLY_VISIBLE, Screen};
 use super::search::Search;
 
 /// Why: no recording shows it.
