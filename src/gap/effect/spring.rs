@@ -170,7 +170,8 @@ impl Effect for Stop {
                 )
                 .signed(),
                 Parameter::choice("side", Dimension::Share, &[1.0, -1.0], [-1.0, 1.0]).signed(),
-                Parameter::shape("damping", Dimension::ForcePerSpeed, &[0.0], [0.0, 10.0]),
+                // one that begins at 0 would stay there, and a stop that damps is a late motor beside one that does not
+                Parameter::shape("damping", Dimension::ForcePerSpeed, &[0.1], [0.0, 10.0]),
             ],
             neighbours: &[
                 Neighbour {
@@ -198,5 +199,31 @@ impl Effect for Stop {
             &site.place.name,
             values,
         ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::gap::effect::write;
+    use crate::gap::masses::{chosen, machine, searching};
+
+    /// A stop whose damping stayed at 0 was found with a motor that is late.
+    #[test]
+    fn a_stop_is_found_with_its_damping() {
+        const STOP: [f64; 4] = [60.0, 0.02, 1.0, 2.0];
+        let base = machine(r#"damping="2" stiffness="5""#, "");
+        let law = chosen(&base, "joint_stop", "a", &STOP);
+        let hidden = write(&base, law.effect, &law.place, &law.values).expect("written");
+        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"damping\"\n";
+        searching(&base, &hidden.file, config, |search, watch| {
+            while search.forward(None, watch).expect("searched").is_none() {}
+            let [found] = &search.chosen[..] else {
+                panic!("{:?}", search.chosen);
+            };
+            assert_eq!(found.effect.about().name, "joint_stop");
+            for (own, hidden) in found.values.iter().zip(STOP) {
+                assert!((own / hidden - 1.0).abs() < 0.02, "{:?}", found.values);
+            }
+        });
     }
 }
