@@ -13,8 +13,9 @@
 //! some: the least size of an effect, and a twentieth of what remained before ≤ remaining < before
 //! ```
 //!
-//! the search is made without the effect of the largest class, of those as large the first, at any place. Another answer counts if
-//! its verdict is not `unknown` and
+//! the search is made without the effect of the largest class, of those as large the first, at any place; and where the verdict is
+//! `unknown`, if that does not help, without the one found first: of an arm whose elbow meets a stop and rubs by its load a payload
+//! explained a tenth more than the stop. Another answer counts if its verdict is not `unknown` and
 //!
 //! ```text
 //! remaining after ≤ remaining / 5
@@ -48,29 +49,31 @@ pub(super) fn search(
     watch: &mut Watch<'_>,
 ) -> Result<Outcome, GapError> {
     let (first, options) = in_windows(input, options, keeper, watch)?;
-    let (Some(was), Some((part, most))) = (
-        least_told(&first.answer.effects),
-        asks_again(&first.answer.remaining, options.limits.size),
-    ) else {
+    let answer = &first.answer;
+    let Some((part, most)) = asks_again(&answer.remaining, options.limits.size) else {
         return Ok(first);
     };
-    let Some(effects) = without(&was.name, &options.effects, &input.model.model) else {
-        return Ok(first);
-    };
-    let options = Options { effects, ..options };
-    let way = format!("without {}", was.name);
-    let other = again((input, &options), keeper, watch, Some(part), &way)?;
-    let Some(mut other) = other.filter(|o| is_clear(&o.answer, most)) else {
-        return Ok(first);
-    };
-    if is_further_off(&other.answer.gap, &first.answer.gap) {
-        return Ok(first);
+    for was in suspects(answer.verdict, &answer.effects) {
+        let Some(effects) = without(&was.name, &options.effects, &input.model.model) else {
+            continue;
+        };
+        let options = Options {
+            effects,
+            ..options.clone()
+        };
+        let way = format!("without {}", was.name);
+        let other = again((input, &options), keeper, watch, Some(part), &way)?;
+        if let Some(mut other) = other.filter(|o| is_clear(&o.answer, most))
+            && !is_further_off(&other.answer.gap, &answer.gap)
+        {
+            other.answer.gap.notes.push(format!(
+                "found where {} is not looked for: with {} at {} five times as much is left, or more",
+                was.name, was.name, was.at
+            ));
+            return Ok(other);
+        }
     }
-    other.answer.gap.notes.push(format!(
-        "found where {} is not looked for: with {} at {} five times as much is left, or more",
-        was.name, was.name, was.at
-    ));
-    Ok(other)
+    Ok(first)
 }
 
 /// The search in windows of the length that suits the recordings, then of others where that explains nothing; with the options
@@ -137,9 +140,16 @@ fn again(
     }
 }
 
-/// The effect that is least told from others, of those that are as little the first.
-fn least_told(effects: &[Named]) -> Option<&Named> {
-    effects.iter().rev().max_by_key(|effect| effect.class.len())
+/// The effects that may stand for others: the one that is least told from others, of those that are as little the first; and
+/// where the verdict is `unknown` the first that was found, which all others were found beside.
+fn suspects(verdict: Verdict, effects: &[Named]) -> Vec<&Named> {
+    let least_told = effects.iter().rev().max_by_key(|effect| effect.class.len());
+    let mut suspects: Vec<&Named> = least_told.into_iter().collect();
+    if verdict == Verdict::Unknown {
+        suspects.extend(effects.first());
+    }
+    suspects.dedup_by_key(|effect| &effect.name);
+    suspects
 }
 
 /// Whether the verdict is clear, and at most `most` remains.
@@ -177,9 +187,9 @@ fn is_further_off(gap: &Gap, other: &Gap) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::{asks_again, least_told, without};
+    use super::{asks_again, suspects, without};
     use crate::gap::masses::machine;
-    use crate::gap::result::{Named, Remaining};
+    use crate::gap::result::{Named, Remaining, Verdict};
 
     /// What an arm's payload and gain leave, which are a spring and a length, and another's gain, which is an offset and a rotor; two
     /// frictions of a finger, those of a carriage, and a drive that gives way.
@@ -199,7 +209,8 @@ mod tests {
         assert!(asks(0.0038, 0.0175).is_none());
     }
 
-    /// A finger's friction that differs with direction, which a payload stood for; and where none has a larger class.
+    /// A finger's friction that differs with direction, which a payload stood for; where none has a larger class; and an arm's stop,
+    /// which a payload stood for that no class held.
     #[test]
     fn what_is_least_told_from_others_is_left_out() {
         let named = |name: &str, class: &[&str]| Named {
@@ -216,16 +227,24 @@ mod tests {
             decoys: None,
             alike: Vec::new(),
         };
-        let left_out = |effects: &[Named]| least_told(effects).map(|e| e.name.clone());
+        let left_out = |verdict, effects: &[Named]| -> Vec<String> {
+            let suspects = suspects(verdict, effects);
+            suspects.iter().map(|e| e.name.clone()).collect()
+        };
         let friction = named("coulomb_friction", &["coulomb_friction"]);
         let payload = named("payload", &["payload", "torque_offset", "encoder_offset"]);
-        assert_eq!(
-            left_out(&[friction.clone(), payload]),
-            Some("payload".into())
-        );
         let gain = named("torque_gain", &["torque_gain"]);
-        assert_eq!(left_out(&[friction, gain]), Some("coulomb_friction".into()));
-        assert_eq!(left_out(&[]), None);
+        let found = [friction.clone(), payload];
+        assert_eq!(left_out(Verdict::Ambiguous, &found), ["payload"]);
+        assert_eq!(
+            left_out(Verdict::Unknown, &found),
+            ["payload", "coulomb_friction"]
+        );
+        let found = [friction, gain];
+        for verdict in [Verdict::Effect, Verdict::Unknown] {
+            assert_eq!(left_out(verdict, &found), ["coulomb_friction"]);
+            assert!(left_out(verdict, &[]).is_empty());
+        }
     }
 
     /// Everything that two masses on slides can carry, but what is left out.
