@@ -359,7 +359,8 @@ pub(super) fn at_length(
         }
     }
     let lost = search.windows.length_s < cuts.length_s;
-    let more = lost || much || left::law(&rest);
+    let misled = left::misled(&gap, &remaining, options.limits.size);
+    let more = lost || much || misled || left::law(&rest);
     let structure = !rest.is_empty() || left::most(&gap);
     let verdict = verdict(&effects, structure, more);
     let found = (&*effects, &*untestable);
