@@ -356,7 +356,7 @@ impl Search<'_> {
                 // what held-out recordings do not tell apart is alike
                 let is_less =
                     || self.is_less_held_out(fitted.at_hand(), self.recorded_s(&fitted.chosen));
-                if back >= APART && !self.absurd(&fitted) && is_less()? {
+                if back >= APART && !self.absurd(&fitted.built, &fitted.chosen) && is_less()? {
                     *self = self.settled_with(fitted, watch)?;
                     (own_steps, exchanged) = (None, true);
                 } else {

@@ -98,7 +98,7 @@ impl Search<'_> {
         else {
             return Ok(None);
         };
-        if self.absurd(&fitted) {
+        if self.absurd(&fitted.built, &fitted.chosen) {
             return Ok(None);
         }
         let [held, after] = self.held_both(held, &fitted)?;

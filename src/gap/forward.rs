@@ -197,7 +197,7 @@ impl Search<'_> {
             if absurd.is_some_and(|best| alike::apart(price, best) >= APART) {
                 break;
             }
-            if self.absurd(own) {
+            if self.absurd(&own.built, &own.chosen) {
                 absurd = absurd.or(Some(price));
                 continue;
             }
@@ -214,6 +214,10 @@ impl Search<'_> {
                 continue;
             }
             let mut then = self.settled_with(own.clone(), watch)?;
+            if self.absurd(&then.built, &then.chosen) {
+                absurd = absurd.or(Some(price));
+                continue;
+            }
             let standing = Standing::of(&then)?;
             let mut evidence =
                 standing.evidence(self.chosen.len(), of.candidate, tests(screen), gain);

@@ -6,7 +6,9 @@ use crate::sysid::parameter::ParameterRule;
 use crate::sysid::problem::Problem;
 
 use super::GapError;
-use super::effect::{self, Effect, Estimated, Form, ModelFile, Parameter, Place, Role, Scales};
+use super::effect::{
+    self, Effect, Estimated, Form, ModelFile, Parameter, Place, Role, Scales, TWO_PERIODS,
+};
 
 /// An effect that was put into the model.
 #[derive(Debug, Clone)]
@@ -255,6 +257,15 @@ impl Chosen {
     }
 }
 
+impl Chosen {
+    /// Whether it is a ripple of so few periods that what another effect leaves of a force by position looks like it, as a spring does
+    /// of one that stiffens.
+    pub(super) fn has_few_periods(&self, scales: &Scales) -> bool {
+        let per_turn = self.effect.periodic().and(self.values.last());
+        per_turn.is_some_and(|n| n * scales.travel < TWO_PERIODS)
+    }
+}
+
 /// Values to look at an effect with: one set for each of its sizes, by grid value. All other sizes of the set are 0.
 #[derive(Debug, Clone)]
 pub(super) struct Variant {
@@ -379,13 +390,16 @@ mod tests {
     fn a_ripple_has_one_and_a_half_periods() {
         let base = machine("", "");
         for (name, place) in [("torque_ripple", "ma"), ("cogging", "a")] {
-            let absurd = |periods: f64| {
-                let own = chosen(&base, name, place, &[0.0; 3]);
-                let scales = Scales::of(&base.model, &own.place);
+            let own = chosen(&base, name, place, &[0.0; 3]);
+            let scales = Scales::of(&base.model, &own.place);
+            let of = |periods: f64| {
                 let per_turn = 2.0 * std::f64::consts::PI * periods / scales.travel;
-                chosen(&base, name, place, &[0.01, 0.0, per_turn]).absurd(&scales)
+                chosen(&base, name, place, &[0.01, 0.0, per_turn])
             };
+            let absurd = |periods| of(periods).absurd(&scales);
+            let few = |periods| of(periods).has_few_periods(&scales);
             assert!(!absurd(1.85) && absurd(1.5), "{name}");
+            assert!(few(1.85) && !few(2.1), "{name}");
         }
     }
 

@@ -360,7 +360,8 @@ pub(super) fn at_length(
     }
     let lost = search.windows.length_s < cuts.length_s;
     let misled = left::misled(&gap, &remaining, options.limits.size);
-    let more = lost || much || misled || left::law(&rest);
+    let absurd = search.absurd(&search.built, &search.chosen);
+    let more = lost || much || misled || absurd || left::law(&rest);
     let structure = !rest.is_empty() || left::most(&gap);
     let verdict = verdict(&effects, structure, more);
     let found = (&*effects, &*untestable);

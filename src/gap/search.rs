@@ -410,10 +410,12 @@ impl<'a> Search<'a> {
         Ok(then)
     }
 
-    /// Whether an effect of a fitted model has numbers that no machine has.
-    pub(super) fn absurd(&self, fitted: &Fitted) -> bool {
-        let scales = |c: &Chosen| self.measured.scales(&fitted.built.file.model, &c.place);
-        fitted.chosen.iter().any(|c| c.absurd(&scales(c)))
+    /// Whether one of the effects `chosen` of a model has numbers that no machine has, or beside others hardly a shape.
+    pub(super) fn absurd(&self, built: &Built, chosen: &[Chosen]) -> bool {
+        chosen.iter().any(|c| {
+            let scales = self.measured.scales(&built.file.model, &c.place);
+            c.absurd(&scales) || (chosen.len() > 1 && c.has_few_periods(&scales))
+        })
     }
 
     /// Makes a fitted model the present one.

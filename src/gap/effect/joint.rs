@@ -19,6 +19,8 @@ pub(super) const PERIODS: &[f64] = &[
 
 /// Less than one and a half periods in a travel are none: any force by position looks like a part of one.
 pub(super) const LEAST_PERIODS: f64 = 3.0 * std::f64::consts::PI;
+/// From two on they are told from what another effect leaves of such a force.
+pub(in crate::gap) const TWO_PERIODS: f64 = 4.0 * std::f64::consts::PI;
 
 /// A constant torque.
 #[derive(Debug)]

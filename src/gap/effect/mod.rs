@@ -28,6 +28,7 @@ mod touch;
 mod transmission;
 mod write;
 
+pub(super) use joint::TWO_PERIODS;
 pub use parameter::{Dimension, Parameter, Role, Scales, Sign};
 pub use place::{Place, PlaceKind, Site};
 pub use write::{EffectError, Estimated, Expression, Form, ModelFile, Number, Written, write};
