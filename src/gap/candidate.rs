@@ -6,7 +6,7 @@
 
 use nalgebra::DVector;
 
-use super::effect::{Effect, Place};
+use super::effect::{Effect, Place, Sign};
 use super::linear::{Column, Linear};
 use super::model::{Chosen, Measured, Variant};
 use super::score::{Normal, Score};
@@ -96,7 +96,11 @@ impl Table<'_> {
                 && shown.0.makes_sense(parameters, &part.expected, &scales)
             {
                 for (&i, beta) in judged.0.parameters.iter().zip(&whole.expected) {
-                    values[i] = parameters[i].typical(&scales).copysign(*beta);
+                    let usual = parameters[i].typical(&scales);
+                    values[i] = match parameters[i].sign {
+                        Sign::Either => usual.copysign(*beta),
+                        Sign::Positive => usual,
+                    };
                 }
                 (judged, score, sensible) = (shown, Some(part), true);
             }
