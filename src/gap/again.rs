@@ -14,11 +14,9 @@
 //! one. Beside effects that are in the model there are those that they may be mistaken for ([`super::lookalike`]): of these little
 //! is expected, and a small size gives the derivative.
 
-use nalgebra::DVector;
-
 use super::GapError;
 use super::effect::{self, Effect, Place, Sign};
-use super::linear::Column;
+use super::linear::{Column, squares};
 use super::model::Variant;
 use super::score::Normal;
 use super::screen::{At, Look};
@@ -73,7 +71,7 @@ impl Look<'_> {
                 }
                 let most = parameter.most(&scales);
                 let beta = beta.clamp(-most, most);
-                let length: f64 = columns[*c].parts.iter().map(DVector::norm_squared).sum();
+                let length = squares(&columns[*c].parts);
                 let whole = (2.0 * normal.cost() / length).sqrt().min(size.abs());
                 let one_sided = parameter.sign == Sign::Positive;
                 let far = one_sided && taken[*c].abs() > FAR * whole;

@@ -96,11 +96,9 @@ impl Table<'_> {
                 && shown.0.makes_sense(parameters, &part.expected, &scales)
             {
                 for (&i, beta) in judged.0.parameters.iter().zip(&whole.expected) {
-                    let usual = parameters[i].typical(&scales);
-                    values[i] = match parameters[i].sign {
-                        Sign::Either => usual.copysign(*beta),
-                        Sign::Positive => usual,
-                    };
+                    if parameters[i].sign == Sign::Either {
+                        values[i] = values[i].copysign(*beta);
+                    }
                 }
                 (judged, score, sensible) = (shown, Some(part), true);
             }
@@ -184,7 +182,7 @@ pub(super) fn largest_part(response: &[f64], motors: &[f64]) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::gap::effect::named;
-    use crate::gap::linear::Row;
+    use crate::gap::linear::{Row, squares};
     use crate::gap::masses::{machine, searching};
     use crate::gap::model::variants;
 
@@ -209,7 +207,7 @@ mod tests {
                     };
                     let of = |row: &Row| DVector::from_fn(row.residual.len(), |i, _| turned(i));
                     let parts: Vec<_> = linear.rows.iter().map(of).collect();
-                    let raw = parts.iter().map(DVector::norm_squared).sum();
+                    let raw = squares(&parts);
                     Column { parts, raw }
                 });
                 for (column, by) in columns.iter().zip(TILT) {

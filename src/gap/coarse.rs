@@ -14,7 +14,7 @@ use std::sync::Arc;
 use nalgebra::{DMatrix, DVector};
 
 use super::followed::Followed;
-use super::linear::{Column, Row};
+use super::linear::{Column, Row, squares};
 use super::windows::Windows;
 use crate::mujoco::Model;
 use crate::sysid::SysidError;
@@ -280,10 +280,6 @@ impl Windows {
         out.extend(linear.motors(self, x)?);
         Ok(out)
     }
-}
-
-fn squares(parts: &[DVector<f64>]) -> f64 {
-    parts.iter().map(DVector::norm_squared).sum()
 }
 
 /// Whether first states leave so little of a column that it says nothing on the step.

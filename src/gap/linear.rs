@@ -86,6 +86,11 @@ pub(super) struct Column {
     pub raw: f64,
 }
 
+/// Squared length of what is given of every window.
+pub(super) fn squares(parts: &[DVector<f64>]) -> f64 {
+    parts.iter().map(DVector::norm_squared).sum()
+}
+
 impl Windows {
     /// The linearised problem at parameters `x` and the present first states.
     ///

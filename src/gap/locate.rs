@@ -13,12 +13,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use super::GapError;
 use super::band::band;
 use super::effect::named;
-use super::linear::Row;
+use super::linear::{Row, squares};
 use super::null::Null;
 use super::result::Located;
 use super::score::two_sided;
@@ -281,11 +281,7 @@ pub(super) fn to_forces(model: &Model, screen: &Screen) -> Vec<DMatrix<f64>> {
     let rows = &screen.linear.rows;
     // a joint that sticks all through a window shows no force in it
     let least: Vec<f64> = (own.iter())
-        .map(|(_, c)| {
-            let parts = &screen.columns[*c].parts;
-            let square: f64 = parts.iter().map(DVector::norm_squared).sum();
-            STUCK * square / rows.len().max(1) as f64
-        })
+        .map(|(_, c)| STUCK * squares(&screen.columns[*c].parts) / rows.len().max(1) as f64)
         .collect();
     let of = |(w, row): (usize, &Row)| {
         let (n, m) = (row.residual.len(), own.len());

@@ -255,9 +255,7 @@ impl Chosen {
             }
         })
     }
-}
 
-impl Chosen {
     /// Whether it is a ripple of so few periods that what another effect leaves of a force by position looks like it, as a spring does
     /// of one that stiffens.
     pub(super) fn has_few_periods(&self, scales: &Scales) -> bool {

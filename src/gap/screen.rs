@@ -14,7 +14,7 @@ use super::candidate::{Candidate, Table, best_shape};
 use super::effect::{self, Effect, ModelFile, Parameter, Place};
 use super::fit::{gradient, information};
 use super::inputs::is_wanted;
-use super::linear::{Column, Linear};
+use super::linear::{Column, Linear, squares};
 use super::model::{Built, Measured, Variant, variants};
 use super::pulse::{self, Pulses};
 use super::score::Normal;
@@ -34,6 +34,7 @@ pub(super) const HARDLY_VISIBLE: f64 = 0.005;
 const LEFT: f64 = 1e-8;
 /// How often columns are looked at again.
 const LOOKS: usize = 2;
+
 /// The table of all candidates.
 pub(super) struct Screen {
     pub candidates: Vec<Candidate>,
@@ -224,7 +225,7 @@ impl Look<'_> {
             let mut columns = Vec::new();
             let each = variant.columns.into_iter().zip(variant.parameters);
             for ((said, parameter), column) in each.zip(own.into_iter().flatten()) {
-                let left: f64 = column.parts.iter().map(DVector::norm_squared).sum();
+                let left = squares(&column.parts);
                 if left > LEFT * column.raw && column.raw > 0.0 {
                     columns.push(column);
                     seen.columns.push(said);
