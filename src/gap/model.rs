@@ -32,6 +32,8 @@ pub(super) struct Built {
     pub estimated: Vec<(usize, Estimated)>,
     /// how each effect is said
     pub forms: Vec<Form>,
+    /// numbers of the base model that an effect has a share in: what was known of them was so without it
+    shared: Vec<String>,
 }
 
 impl Built {
@@ -50,6 +52,7 @@ impl Built {
             rules: rules.to_vec(),
             estimated: Vec::new(),
             forms: Vec::new(),
+            shared: Vec::new(),
         };
         for (i, c) in chosen.iter().enumerate() {
             let written = effect::write(&built.file, c.effect, &c.place, &c.values)?;
@@ -65,8 +68,15 @@ impl Built {
                     e.rule.lower = Some(e.rule.lower.map_or(lower, |own| own.max(lower)));
                     e.rule.upper = Some(e.rule.upper.map_or(upper, |own| own.min(upper)));
                 }
-                // what is left without the effect is another effect's number, or none
+                // what is left without the effect is another effect's number, or none; where the two together hold a joint one way
+                // only, no slope leads to both, and what was known of the joint without it would have it so
                 if parameter.role == Role::Companion {
+                    if c.effect.in_dry_joints().is_some() {
+                        let ParameterRule {
+                            element, attribute, ..
+                        } = &e.rule;
+                        built.shared.push(format!("{element} {attribute}"));
+                    }
                     continue;
                 }
                 built.rules.push(e.rule.clone());
@@ -97,9 +107,13 @@ impl Built {
     /// # Errors
     /// A number is a parameter twice: of the base model and of an effect.
     pub(super) fn problem(&self, problem: &Problem) -> Result<Problem, GapError> {
+        let mut parameters = problem.parameters_of(&self.file.model, &self.rules)?;
+        for shared in (parameters.all.iter_mut()).filter(|p| self.shared.contains(&p.name)) {
+            shared.prior_sigma = f64::INFINITY;
+        }
         Ok(Problem {
             model: self.file.model.clone(),
-            parameters: problem.parameters_of(&self.file.model, &self.rules)?,
+            parameters,
             ..problem.clone()
         })
     }
@@ -365,7 +379,8 @@ pub(super) fn variants(parameters: &[Parameter], scales: &Scales) -> Vec<Variant
 mod tests {
     use super::*;
     use crate::gap::effect::named;
-    use crate::gap::masses::{chosen, machine};
+    use crate::gap::masses::{chosen, found, machine, searching};
+    use crate::gap::repair;
 
     /// A compliance had no bound once it was tried in several sizes.
     #[test]
@@ -399,6 +414,25 @@ mod tests {
             assert!(!absurd(1.85) && absurd(1.5), "{name}");
             assert!(few(1.85) && !few(2.1), "{name}");
         }
+    }
+
+    /// Friction that differs with direction comes with its own level: what was known of the joint's without it does not hold that back.
+    #[test]
+    fn friction_that_differs_has_its_own_level() {
+        let base = machine(r#"frictionloss=".03""#, "");
+        let hidden = machine(r#"frictionloss=".12""#, "");
+        let law = chosen(&hidden, "asymmetric_friction", "a", &[0.04, 0.0]);
+        let hidden = effect::write(&hidden, law.effect, &law.place, &law.values);
+        let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"frictionloss\"\nprior_sigma = 0.3\n";
+        let hidden = hidden.expect("written").file;
+        searching(&base, &hidden, config, |search, watch| {
+            found(search, &[law], watch);
+            let own = &search.chosen[0];
+            assert!((own.values[0] - 0.04).abs() < 2e-3, "{:?}", own.values);
+            let fitted = repair::machine(&search.windows.problem, &search.x).expect("a model");
+            let level = own.place.dry_level(&fitted.model);
+            assert!((level - 0.12).abs() < 2e-3, "{level}");
+        });
     }
 
     /// The cost is a parabola in the size, whose least is elsewhere.
