@@ -51,6 +51,7 @@ mod next;
 mod nudged;
 mod null;
 mod one_law;
+mod one_sided;
 mod owed;
 mod predict;
 mod pulse;

@@ -179,6 +179,7 @@ impl<'a> Search<'a> {
     /// The engine refuses a number.
     pub(super) fn settle(&mut self, watch: &mut Watch<'_>) -> Result<(), GapError> {
         self.windows.weigh(&self.x, &self.noise)?;
+        self.hold_both_ways();
         let now = (&*self.x, &*self.noise);
         let fit = (self.windows).fit_weighed(now, ITERATIONS, |windows, x, most| {
             windows.fit(x, most, &mut watch.fit_nearly())
