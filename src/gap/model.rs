@@ -2,7 +2,7 @@
 
 use crate::mjcf::attribute;
 use crate::mujoco::ObjectKind;
-use crate::sysid::parameter::ParameterRule;
+use crate::sysid::parameter::{self, ParameterRule};
 use crate::sysid::problem::Problem;
 
 use super::GapError;
@@ -32,8 +32,8 @@ pub(super) struct Built {
     pub estimated: Vec<(usize, Estimated)>,
     /// how each effect is said
     pub forms: Vec<Form>,
-    /// numbers of the base model that an effect has a share in: what was known of them was so without it
-    shared: Vec<String>,
+    /// effect (index) that differs with direction, and name of the number that is its level: what was known of that was so without it
+    pub levels: Vec<(usize, String)>,
 }
 
 impl Built {
@@ -52,7 +52,7 @@ impl Built {
             rules: rules.to_vec(),
             estimated: Vec::new(),
             forms: Vec::new(),
-            shared: Vec::new(),
+            levels: Vec::new(),
         };
         for (i, c) in chosen.iter().enumerate() {
             let written = effect::write(&built.file, c.effect, &c.place, &c.values)?;
@@ -75,7 +75,7 @@ impl Built {
                         let ParameterRule {
                             element, attribute, ..
                         } = &e.rule;
-                        built.shared.push(format!("{element} {attribute}"));
+                        built.levels.push((i, format!("{element} {attribute}")));
                     }
                     continue;
                 }
@@ -108,8 +108,9 @@ impl Built {
     /// A number is a parameter twice: of the base model and of an effect.
     pub(super) fn problem(&self, problem: &Problem) -> Result<Problem, GapError> {
         let mut parameters = problem.parameters_of(&self.file.model, &self.rules)?;
-        for shared in (parameters.all.iter_mut()).filter(|p| self.shared.contains(&p.name)) {
-            shared.prior_sigma = f64::INFINITY;
+        let is_level = |p: &parameter::Parameter| self.levels.iter().any(|l| l.1 == p.name);
+        for level in parameters.all.iter_mut().filter(|p| is_level(p)) {
+            level.prior_sigma = f64::INFINITY;
         }
         Ok(Problem {
             model: self.file.model.clone(),

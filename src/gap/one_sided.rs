@@ -5,7 +5,6 @@
 //! c = (c + |a|)/2, half of which differs with direction: where friction is one way only, it returns.
 
 use super::search::Search;
-use crate::sysid::parameter::{Parameter, Role};
 
 /// Part of the friction that differs with direction where a fit goes on.
 const DIFFERS: f64 = 0.5;
@@ -14,30 +13,19 @@ impl Search<'_> {
     /// Moves the numbers from which a fit goes on to friction both ways, where an effect has it one way only.
     pub(super) fn hold_both_ways(&mut self) {
         let problem = &self.windows.problem;
-        for (size_at, effect, parameter, slope) in self.built.free(problem) {
-            let own = &self.chosen[effect];
-            let is_size = own.effect.about().parameters[parameter].is_size();
-            if own.effect.in_dry_joints().is_none() || !is_size {
-                continue;
-            }
-            let joint = own.place.joint_name(&problem.model);
-            let is_level = |p: &Parameter| {
-                matches!(&p.role, Role::Model(targets) if matches!(&targets[..], [(target, _)]
-                    if target.attribute.name == "frictionloss" && joint == Some(&target.element)))
-            };
-            let mut free = problem.parameters.iter_free().enumerate();
-            let Some((level_at, level)) = free.find(|(_, p)| is_level(p)) else {
+        let free = self.built.free(problem);
+        for (effect, level) in &self.built.levels {
+            let size = free.iter().find(|f| f.1 == *effect);
+            let mut all = problem.parameters.iter_free().enumerate();
+            let level = all.find(|(_, p)| p.name == *level);
+            let (Some((size_at, _, _, slope)), Some((level_at, level))) = (size, level) else {
                 continue;
             };
-            let values = self.built.values(problem, &self.x, &self.chosen);
-            let (c, size) = (
-                level.to_value(self.x[level_at]),
-                values[effect].values[parameter],
-            );
-            if size.abs() > c {
-                let both = (0.5 * (c + size.abs())).clamp(level.lower, level.upper);
+            let (c, a) = (level.to_value(self.x[level_at]), self.x[*size_at] * slope);
+            if a.abs() > c {
+                let both = (0.5 * (c + a.abs())).clamp(level.lower, level.upper);
                 self.x[level_at] = level.to_x(both);
-                self.x[size_at] += (DIFFERS * both.copysign(size) - size) / slope;
+                self.x[*size_at] = DIFFERS * both.copysign(a) / slope;
             }
         }
     }
@@ -46,7 +34,6 @@ impl Search<'_> {
 #[cfg(test)]
 mod tests {
     use crate::gap::masses::{chosen, found, machine, searching};
-    use crate::sysid::parameter::Parameter;
 
     /// One way only the law is the same whatever the level, and a fit goes on from where it is both ways, once.
     #[test]
@@ -63,8 +50,11 @@ mod tests {
                 panic!("one size");
             };
             let parameters: Vec<_> = problem.parameters.iter_free().cloned().collect();
-            let is_level = |p: &Parameter| p.name.ends_with("frictionloss");
-            let level_at = parameters.iter().position(is_level).expect("free");
+            let [(_, name)] = &search.built.levels[..] else {
+                panic!("one level");
+            };
+            let level_at = parameters.iter().position(|p| p.name == *name);
+            let level_at = level_at.expect("free");
             let level = &parameters[level_at];
             let start = search.x.clone();
             let at = |c: f64, a: f64| {
