@@ -242,9 +242,9 @@ impl Row {
     }
 }
 
-/// Least squares of R ds + b, each unknown held back in proportion to what is known of it, and a little in proportion to
-/// what is known of the best: what readings do not see, as the tilt of a body whose position is measured, would go as far
-/// as rounding says.
+/// Least squares of R ds + b, each unknown held back in proportion to what is known of it and of the best: what readings do not
+/// see, as the tilt of a body whose position is measured or the velocity of a joint that sticks, would go as far as rounding says,
+/// and no part of such a step leads anywhere.
 pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) -> DVector<f64> {
     let mut normal = triangle.tr_mul(triangle);
     let n = normal.nrows();
@@ -252,7 +252,8 @@ pub(super) fn damped(triangle: &DMatrix<f64>, b: &DVector<f64>, damping: f64) ->
     for kind in [0..n / 2, n / 2..n] {
         let best = kind.clone().map(|i| normal[(i, i)]).fold(0.0, f64::max);
         for i in kind {
-            normal[(i, i)] += damping * normal[(i, i)] + UNSEEN * best + LEAST_INFORMATION;
+            normal[(i, i)] +=
+                damping * normal[(i, i)] + UNSEEN.max(damping) * best + LEAST_INFORMATION;
         }
     }
     let right = -triangle.tr_mul(b);
@@ -443,5 +444,21 @@ mod tests {
         let ds = damped(&triangle, &DVector::from_element(2, 1.0), 0.0);
         assert!((ds[0] + 1e-4).abs() < 1e-8, "{ds}");
         assert!(ds[1].abs() < 0.1, "{ds}");
+    }
+
+    /// A finger's joint that sticks for a window: its velocity would be 400 rad/s, where readings move by 10^-8 of them.
+    #[test]
+    fn the_velocity_of_a_joint_that_sticks_stays_where_it_is() {
+        let seen = DVector::from_row_slice(&[2.1e4, 9.3e3, 2.5e3, 6e-5, 77.0, 34.0]);
+        let along = DVector::from_row_slice(&[-0.15, 2.7, 0.72, 0.024, 0.024, -0.038]);
+        let ds = damped(&DMatrix::from_diagonal(&seen), &along, 1e-6);
+        for i in 0..6 {
+            let whole = -along[i] / seen[i];
+            if i == 3 {
+                assert!(ds[i].abs() < 1e-3, "{ds}");
+            } else {
+                assert!((ds[i] / whole - 1.0).abs() < 1e-4, "{ds}");
+            }
+        }
     }
 }
