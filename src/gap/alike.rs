@@ -24,8 +24,8 @@
 //! is not for what was itself simulated in steps, nor where joints stick, of which half the step says little. What is
 //! alike by one of both costs is alike: nobody knows the machine's steps.
 //!
-//! Effects found later may tell them apart: what was alike before, or nearly so, is fitted once more beside them, as is what
-//! looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart, and held-out
+//! Effects found later may tell them apart, as may longer windows: what was alike before, or nearly so, is fitted once more beside
+//! them, as is what looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart, and held-out
 //! recordings besides, is exchanged for the one that was chosen.
 
 use serde::{Deserialize, Serialize};
@@ -298,19 +298,21 @@ impl Search<'_> {
 
     /// Fits what was alike once more, beside all that was found since, and what looks alike now that all is found; keeps what
     /// is alike, what is the same by another name ([`super::one_law`]) without a fit, or exchanges what was chosen for it.
-    /// `screen` is of the present model, `own_steps` what the cost is more without steps. Whether anything was exchanged.
+    /// `screen` is of the present model, `own_steps` what the cost is more without steps; whether windows are `longer` than those
+    /// that effects were looked for in at first. Whether anything was exchanged.
     ///
     /// # Errors
     /// The engine refuses a number.
     pub(super) fn tell_apart(
         &mut self,
         screen: &Screen,
-        mut own_steps: Option<f64>,
+        (mut own_steps, longer): (Option<f64>, bool),
         watch: &mut Watch<'_>,
     ) -> Result<bool, GapError> {
         let effects = 0..self.chosen.len();
         let look: Vec<Vec<Rival>> = effects.map(|i| self.look_alikes(screen, i)).collect();
-        let alone = self.chosen.len() < 2; // nothing was found since
+        // nothing was found since
+        let stays = self.chosen.len() < 2 && !longer;
         let mut exchanged = false;
         for (i, mut asked) in look.into_iter().enumerate() {
             let known = std::mem::take(&mut self.evidence[i].alike);
@@ -320,7 +322,7 @@ impl Search<'_> {
                     .any(|k| (&k.name, &k.place) == (&a.name, &a.place))
             });
             let other = self.by_other_name(i)?;
-            let (mut left, again) = if alone {
+            let (mut left, again) = if stays {
                 (known, Vec::new())
             } else {
                 (Vec::new(), known)
@@ -407,7 +409,9 @@ mod tests {
             search.evidence[0].alike = vec![Rival::of(&spring, 20.0)];
             let told = |search: &mut Search<'_>, watch: &mut Watch<'_>| {
                 let screen = search.screen(watch).expect("screened").expect("whole");
-                search.tell_apart(&screen, None, watch).expect("told")
+                search
+                    .tell_apart(&screen, (None, false), watch)
+                    .expect("told")
             };
             assert!(told(search, watch));
             let spring = &search.chosen[0];
@@ -419,6 +423,29 @@ mod tests {
             assert!(!told(search, watch));
             assert_eq!(search.chosen[0].effect.about().name, "joint_spring");
             assert!(search.evidence[0].alike.is_empty());
+        });
+    }
+
+    /// Damping was as good as the spring in windows too short to tell; in longer ones it is not.
+    #[test]
+    fn longer_windows_tell_apart_what_short_ones_did_not() {
+        let (base, hidden) = (machine("", ""), machine(r#"stiffness="8""#, ""));
+        let config = "[[parameter]]\nelement = \"joint/b\"\nattribute = \"damping\"\n";
+        searching(&base, &hidden, config, |search, watch| {
+            found(
+                search,
+                &[chosen(&base, "joint_spring", "a", &[1.0, 0.0])],
+                watch,
+            );
+            let damping = chosen(&base, "viscous_friction", "a", &[0.1]);
+            let mut left = |longer| {
+                search.evidence[0].alike = vec![Rival::of(&damping, 1.0)];
+                let screen = search.screen(watch).expect("screened").expect("whole");
+                let told = search.tell_apart(&screen, (None, longer), watch);
+                assert!(!told.expect("told"));
+                search.evidence[0].alike.iter().any(|r| r.is(&damping))
+            };
+            assert!(left(false) && !left(true));
         });
     }
 

@@ -139,7 +139,9 @@ mod tests {
                 names.iter().all(|n| n.1 != "b" && n.0 != "joint_spring"),
                 "{names:?}"
             );
-            search.tell_apart(&screen, None, watch).expect("told");
+            search
+                .tell_apart(&screen, (None, false), watch)
+                .expect("told");
             assert_eq!(search.chosen[0].effect.about().name, "viscous_friction");
             assert!(search.evidence[0].alike.is_empty());
         });

@@ -116,7 +116,9 @@ mod tests {
                     }
                     found(search, &effects, watch);
                     let screen = search.screen(watch).expect("screened").expect("whole");
-                    search.tell_apart(&screen, None, watch).expect("told");
+                    search
+                        .tell_apart(&screen, (None, false), watch)
+                        .expect("told");
                     let last = search.chosen.last().expect("an effect");
                     let names = ["asymmetric_friction", "torque_offset"];
                     let (own, other) = (names[usize::from(known)], names[usize::from(!known)]);

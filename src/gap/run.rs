@@ -214,7 +214,8 @@ pub(super) fn at_length(
 ) -> Result<Option<Outcome>, GapError> {
     watch.note.clear();
     let (cuts, mut search) = begin(input, options, keeper, watch)?;
-    search.held_out = cuts.held_out(search.windows.length_s)?;
+    let first_s = search.windows.length_s;
+    search.held_out = cuts.held_out(first_s)?;
     let before = repair::machine(&search.windows.problem, &search.x)?;
     let mut screen: Option<Screen> = None;
     let known: Option<Screened> = stages::load(keeper, "screen");
@@ -285,7 +286,8 @@ pub(super) fn at_length(
     };
     let without = search.windows.without_steps(&search.x, &screen.linear)?;
     let by_steps = (without.as_ref()).map(|own| search.cost_without_steps(own));
-    let exchanged = search.tell_apart(&screen, by_steps, watch)?;
+    let longer = search.windows.length_s > first_s;
+    let exchanged = search.tell_apart(&screen, (by_steps, longer), watch)?;
     // what was found later may do the work of what was found before
     let again = if search.delete(watch)? || exchanged {
         Some(search.screened(watch)?)
