@@ -174,6 +174,12 @@ impl Search<'_> {
             })
             .collect();
         let unit = self.unit(&tried, which)?;
+        let prices = (tried.iter()).map(|t| alike::price(t.fit.cost / unit, &t.fit.x));
+        let least = prices.fold(f64::INFINITY, f64::min);
+        if let Some(loose) = self.loosened((least, unit), watch)? {
+            *self = loose;
+            return Ok(Forward::Refitted);
+        }
         tried.sort_by(|a, b| a.price(which, unit).total_cmp(&b.price(which, unit)));
         if let Some(i) = self.varied(&tried, watch)? {
             tried[..=i].rotate_right(1);

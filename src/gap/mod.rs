@@ -42,6 +42,7 @@ mod limits;
 mod linear;
 mod locate;
 mod lookalike;
+mod loose;
 mod lying;
 #[cfg(test)]
 mod masses;

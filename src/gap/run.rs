@@ -370,8 +370,13 @@ pub(super) fn at_length(
     let next_experiment = next::experiment(&search, screen, found, watch)?;
     let (built, problem) = (&search.built, &search.windows.problem);
     let model = repair::repaired((input.model, built), problem, &search.x, &search.chosen)?;
+    let mut rules = repair::rules(built);
+    // what is estimated next has what is known, whether it was held against effects or not
+    for (rule, own) in rules.iter_mut().zip(&input.config.parameter) {
+        rule.prior_sigma = own.prior_sigma;
+    }
     Ok(Some(Outcome {
-        rules: repair::rules(built),
+        rules,
         extended: search.built.file.xml.clone(),
         answer: Answer {
             verdict,

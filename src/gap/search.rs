@@ -9,6 +9,8 @@
 //! - and of use where it was not fitted: held-out recordings, their first states alone estimated, cost a twentieth less, or are a
 //!   thousand times likelier where they are nearly noise.
 
+use std::borrow::Cow;
+
 use nalgebra::DVector;
 
 use super::candidate::Candidate;
@@ -72,7 +74,8 @@ const LEAVES: f64 = 0.01;
 #[derive(Clone)]
 pub(super) struct Search<'a> {
     pub base: &'a ModelFile,
-    pub rules: &'a [ParameterRule],
+    /// of the base model, see [`super::loose`]
+    pub rules: Cow<'a, [ParameterRule]>,
     pub limits: Limits,
     /// names of those to look for; none: all
     pub effects: Vec<String>,
@@ -124,7 +127,7 @@ impl<'a> Search<'a> {
         Ok(Self {
             built: Built::new(base, rules, &[], &Measured::default())?,
             base,
-            rules,
+            rules: Cow::Borrowed(rules),
             limits,
             effects,
             stretch_of: windows.stretches(),
@@ -327,7 +330,7 @@ impl<'a> Search<'a> {
         (iterations, bound): Effort,
         watch: &mut Watch<'_>,
     ) -> Result<Option<Fitted>, GapError> {
-        let Ok(built) = Built::new(self.base, self.rules, chosen, &self.measured) else {
+        let Ok(built) = Built::new(self.base, &self.rules, chosen, &self.measured) else {
             return Ok(None);
         };
         let mut windows = self.windows.clone();

@@ -23,6 +23,7 @@ use super::GapError;
 use super::cuts::Cuts;
 use super::effect::{Place, named};
 use super::evidence::Evidence;
+use super::loose;
 use super::model::{Built, Chosen};
 use super::result::{Located, Tested};
 use super::run::{Input, MissingSeries, Options};
@@ -179,6 +180,8 @@ pub(super) struct Step {
     fit: Fit,
     /// whether nothing more was found
     pub ended: bool,
+    /// whether what is known of friction counts little, see [`super::loose`]
+    loose: bool,
 }
 
 impl Step {
@@ -192,6 +195,7 @@ impl Step {
             evidence: search.evidence.clone(),
             fit: Fit::of(&search.windows, &search.x, search.cost),
             ended,
+            loose: search.is_loose(),
         }
     }
 
@@ -214,13 +218,19 @@ impl Step {
             written.push(of(before));
             chosen.push(of(after));
         }
-        let built = Built::new(search.base, search.rules, &written, &search.measured)?;
+        let rules = if self.loose {
+            loose::rules(&search.rules).into()
+        } else {
+            search.rules.clone()
+        };
+        let built = Built::new(search.base, &rules, &written, &search.measured)?;
         let mut windows = cuts.train(self.fit.length_s)?;
         windows.problem = built.problem(&windows.problem)?;
         let Some((x, cost)) = self.fit.restore(&mut windows) else {
             return Ok(false);
         };
         search.go_on_in(windows, cuts)?;
+        search.rules = rules;
         (search.built, search.x, search.cost) = (built, x, cost);
         (search.written, search.chosen) = (written, chosen);
         search.evidence = self.evidence;
