@@ -4,7 +4,7 @@
 //! three to five times that friction on machines that hide one. While what is left weighs little the prior holds the friction where it
 //! was, and an offset, a drag or friction by load stands for the rest of the level. Without the prior friction makes up for what it
 //! is not, a motor too weak to move its joint. At each step forward the present model is therefore fitted with priors of friction that
-//! are ten times as wide, once, and taken if by price
+//! are ten times as wide too, and taken, once, if by price
 //!
 //! ```text
 //! cost/unit + 2 n
@@ -24,7 +24,7 @@ use crate::sysid::parameter::ParameterRule;
 const LOOSELY: f64 = 10.0;
 
 /// What the priors of dry friction are part of, these wider.
-pub(super) fn rules(known: &[ParameterRule]) -> Vec<ParameterRule> {
+fn rules(known: &[ParameterRule]) -> Vec<ParameterRule> {
     let wider = |rule: &ParameterRule| {
         let mut rule = rule.clone();
         if is_friction(&rule) {
@@ -39,10 +39,18 @@ fn is_friction(rule: &ParameterRule) -> bool {
     rule.attribute == "frictionloss"
 }
 
-impl Search<'_> {
+impl<'a> Search<'a> {
     /// Whether what is known of friction counts little.
     pub(super) fn is_loose(&self) -> bool {
         matches!(self.rules, Cow::Owned(_))
+    }
+
+    /// The rules by which it does: those of a search that is so already.
+    pub(super) fn loose_rules(&self) -> Cow<'a, [ParameterRule]> {
+        match &self.rules {
+            Cow::Borrowed(known) => Cow::Owned(rules(known)),
+            loose @ Cow::Owned(_) => loose.clone(),
+        }
     }
 
     /// The present model with friction that what is known of it does not hold, settled, if its price in `unit` is below
@@ -60,7 +68,7 @@ impl Search<'_> {
             return Ok(None);
         }
         let mut then = self.clone();
-        then.rules = Cow::Owned(rules(&self.rules));
+        then.rules = self.loose_rules();
         let bound = unit * (least - price(0.0, &self.x));
         let effort = (FEW_ITERATIONS, bound);
         let Some(mut fitted) = then.fitted_after(None, &self.chosen, effort, watch)? else {
@@ -80,8 +88,9 @@ impl Search<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::masses::{machine, searching};
+    use crate::gap::masses::{machine, searching_cut};
     use crate::gap::repair;
+    use crate::gap::stages::Step;
 
     /// What is known of friction counts less, what nobody knows stays so, and all else counts as it did.
     #[test]
@@ -108,7 +117,7 @@ mod tests {
         let base = machine(r#"frictionloss=".03""#, "");
         let hidden = machine(r#"frictionloss=".12" stiffness=".5""#, "");
         let config = "[[parameter]]\nelement = \"joint/a\"\nattribute = \"frictionloss\"\nprior_sigma = 0.1\n";
-        searching(&base, &hidden, config, |search, watch| {
+        searching_cut(&base, &hidden, config, |search, cuts, watch| {
             let friction = |search: &Search<'_>| {
                 let fitted = repair::machine(&search.windows.problem, &search.x);
                 fitted.expect("a model").model.dof_frictionloss()[0]
@@ -127,6 +136,12 @@ mod tests {
             assert!((free - 0.12).abs() < 0.02, "{free}");
             let again = loose.loosened((f64::INFINITY, 1.0), watch).expect("fitted");
             assert!(again.is_none());
+            // and counts no less where a search goes on from one stage after the other
+            let sigma = |search: &Search<'_>| search.rules[0].prior_sigma;
+            for _ in 0..2 {
+                assert!(Step::of(&loose, false).restore(search, cuts).expect("fits"));
+                assert_eq!(sigma(search), sigma(&loose));
+            }
         });
     }
 }

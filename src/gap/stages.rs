@@ -23,7 +23,6 @@ use super::GapError;
 use super::cuts::Cuts;
 use super::effect::{Place, named};
 use super::evidence::Evidence;
-use super::loose;
 use super::model::{Built, Chosen};
 use super::result::{Located, Tested};
 use super::run::{Input, MissingSeries, Options};
@@ -219,7 +218,7 @@ impl Step {
             chosen.push(of(after));
         }
         let rules = if self.loose {
-            loose::rules(&search.rules).into()
+            search.loose_rules()
         } else {
             search.rules.clone()
         };
