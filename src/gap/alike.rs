@@ -25,8 +25,8 @@
 //! alike by one of both costs is alike: nobody knows the machine's steps.
 //!
 //! Effects found later may tell them apart, as may longer windows: what was alike before, or nearly so, is fitted once more beside
-//! them, as is what looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart, and held-out
-//! recordings besides, is exchanged for the one that was chosen.
+//! them, as is what looks alike only now ([`super::lookalike`]); what fits better there by as much as tells two effects apart, and
+//! held-out recordings besides, is exchanged for the one that was chosen.
 
 use serde::{Deserialize, Serialize};
 
@@ -58,7 +58,7 @@ const LOST: f64 = 10.0;
 /// Times that cost which derivatives may foretell at the best, where joints stick: what is reached is several times less.
 const ASTRAY: f64 = 4.0;
 /// Places of costs with and without steps.
-const WITH: usize = 0;
+pub(super) const WITH: usize = 0;
 const WITHOUT: usize = 1;
 
 /// Another effect, fitted in the place of one.

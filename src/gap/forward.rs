@@ -1,7 +1,8 @@
 //! One step forward: the candidates that promise most are fitted, those that lead in every shape, and the best that stands is kept.
 //!
 //! A screen is linear and judges from a model that lacks what it looks for; it says who is worth a fit, no more. What
-//! decides is taken from the fits: the cost, 2 more for each number, then for the best first
+//! decides is taken from the fits: the cost, 2 more for each number; friction that is free may be ahead of all ([`super::loose`]); then
+//! for the best first
 //!
 //! - the cost of the held-out recordings, which has to fall by a twentieth, or where it is hardly more than noise make them a
 //!   thousand times likelier, and of the priors, which belongs to both; a twentieth of what noise does not explain of it will do
@@ -174,7 +175,7 @@ impl Search<'_> {
             })
             .collect();
         let unit = self.unit(&tried, which)?;
-        let prices = (tried.iter()).map(|t| alike::price(t.fit.cost / unit, &t.fit.x));
+        let prices = tried.iter().map(|t| t.price(alike::WITH, unit));
         let least = prices.fold(f64::INFINITY, f64::min);
         if let Some(loose) = self.loosened((least, unit), watch)? {
             *self = loose;
